@@ -21,6 +21,8 @@ import hexservo as hs
 import rotary_machine
 from hexservo import _core
 from hexservo.cli import commands as cli
+from hexservo.cli import machine
+from hexservo.cli.dialogue import Dialogue
 from hexservo.scenario.parameters import core_parameters
 
 QUESTIONS = 27  # with joints on circles, a camera matrix in numbers, and a tag
@@ -71,6 +73,27 @@ def test_every_rate_and_bandwidth_make_a_grid_of_times(tmp_path: Path, rate: str
     """Servo period, frame period, latency and duration are whole numbers of each other, to rounding."""
     done = answered(tmp_path / "mine.yaml", answers(p20=rate, p26=bandwidth))
     assert done.exit_code == 0, done.output
+
+
+@pytest.mark.parametrize(
+    ("rate", "bandwidth"), [("30", "100"), ("30", "5"), ("30", "0.5"), ("0.4", "2"), ("0.4", "30")]
+)
+def test_a_run_is_longer_than_the_times_that_it_is_measured_by(tmp_path: Path, rate: str, bandwidth: str) -> None:
+    file = tmp_path / "mine.yaml"
+    done = answered(file, answers(p20=rate, p26=bandwidth))
+    assert done.exit_code == 0, done.output
+    assert "simulation.duration" not in done.output  # of a warning
+    scenario = hs.load_scenario(file)
+    times = (scenario.metrics.dwell, scenario.metrics.rms_start, 1 / float(rate), 5 / float(bandwidth))
+    np.testing.assert_allclose(scenario.simulation.duration, 2 * max(times), rtol=1e-12)
+
+
+@pytest.mark.parametrize("rate", [24.0, 29.97, 30.0, 60.0, 120.0, 180.0, 333.0])
+def test_the_camera_has_the_rate_that_was_answered(tmp_path: Path, rate: float) -> None:
+    file = tmp_path / "mine.yaml"
+    assert answered(file, answers(p20=str(rate))).exit_code == 0
+    camera = hs.load_scenario(file).camera
+    assert (camera.period, camera.latency) == (1 / rate, 1 / rate)
 
 
 def test_the_inertia_in_brackets_is_one_of_a_body(tmp_path: Path) -> None:
@@ -271,7 +294,20 @@ def test_cranks_one_by_one(tmp_path: Path) -> None:
     [
         (answers(p0="cranks"), 'expected prismatic or rotary, got "cranks"'),
         (answers(p1="cranks"), 'expected circles or joints, got "cranks"'),
-        (answers(p2="-3"), 'expected a number above 0, got "-3"'),
+        (answers(p2="-3"), 'expected a number from 0.1 to 100000, got "-3"'),
+        (answers(p3="400"), 'joints of a pair [deg]: expected a number from 0.001 to 119.999, got "400"'),
+        (answers(p6="1e9 0 0"), 'expected numbers within +-100000, got "1e9 0 0"'),
+        (answers(p6="0 0 0"), "joints and home: expected a home pose that is not singular"),
+        (answers(p7="180 0 0"), "joints and home: expected a home pose that is not singular"),
+        (answers(p7="0 0 400"), 'axis times angle [deg]: expected numbers within +-360, got "0 0 400"'),
+        (answers(p9="0"), 'expected a number from 0.0001 to 100000, got "0"'),
+        (answers(p12="-1"), 'expected 0, or a number from 0.0001 to 100000, got "-1"'),
+        (answers(p18="0.5 20"), 'expected numbers of at least 1, got "0.5 20"'),
+        (answers(p19="5 5 5 5 5"), "k1 k2 p1 p2 k3: expected a lens that shows the middle of the image"),
+        (answers(p20="1e6"), 'Frames per second [1/s]: expected a number from 0.1 to 10000, got "1e6"'),
+        (answers(p23="1e9"), 'at home [mm]: expected a number from 1 to 100000, got "1e9"'),
+        (answers(p25="0 0 0 0 0 400"), 'turn about x y z [deg]: expected turns within +-360, got "0 0 0 0 0 400"'),
+        (answers(p26="1e-6"), 'Bandwidth of the loop [Hz]: expected a number from 0.05 to 500, got "1e-6"'),
         (answers(p2="nan"), 'expected a number, got "nan"'),
         (answers(p6="1 2"), 'expected 3 numbers with blanks between, got "1 2"'),
         (answers(p8="1 15"), 'expected a number <= 0, then one >= 0, got "1 15"'),
@@ -284,7 +320,10 @@ def test_cranks_one_by_one(tmp_path: Path) -> None:
         ([*answers(p22="points")[:24], "17"], 'expected a whole number of 3 to 16, got "17"'),
         ([*answers(p16="file")[:17], "nowhere.yaml"], "nowhere.yaml"),
         (answers()[:7], "expected an answer to every question, got the end of standard input"),
-        (answers(p2="150", p3="60", p5="60"), "robot"),  # hexagons joined in cyclic order are singular everywhere
+        (
+            answers(p2="150", p3="60", p5="60"),
+            "home: expected legs that hold",
+        ),  # hexagons joined in cyclic order are singular everywhere
     ],
 )
 def test_a_bad_answer_leaves_no_file(tmp_path: Path, given: list[str], words: str) -> None:
@@ -292,6 +331,68 @@ def test_a_bad_answer_leaves_no_file(tmp_path: Path, given: list[str], words: st
     assert done.exit_code == 2, done.output
     assert words in done.output
     assert list(tmp_path.iterdir()) == []
+
+
+def test_legs_that_do_not_hold_are_refused_before_the_mass_is_asked_for(tmp_path: Path) -> None:
+    for kind in ("prismatic", "rotary"):
+        done = answered(tmp_path / "bad.yaml", [kind, *answers(p6="0 0 -1e-9")[1:], *[""] * 3])
+        assert done.exit_code == 2, done.output
+        assert "joints and home: " in done.stderr
+        assert "Mass" not in done.stdout
+
+
+@pytest.mark.parametrize("rate", ["0.1", "10000"])
+@pytest.mark.parametrize("bandwidth", ["0.05", "500"])
+def test_the_bounds_of_rate_and_bandwidth_fit_each_other(tmp_path: Path, rate: str, bandwidth: str) -> None:
+    done = answered(tmp_path / "mine.yaml", answers(p20=rate, p26=bandwidth))
+    assert done.exit_code == 0, done.output
+
+
+@pytest.fixture
+def asks_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the command ask as at a terminal, with answers from standard input."""
+    monkeypatch.setattr(machine, "Dialogue", lambda interactive: Dialogue(interactive=True))
+
+
+@pytest.mark.usefixtures("asks_again")
+def test_a_wrong_answer_is_asked_again_alone(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    given = answers(p3="400")
+    done = answered(file, [*given[:4], "30", *given[4:]])
+    assert done.exit_code == 0, done.output
+    assert done.output.count("[prismatic]") == 1
+    assert 'Again: expected a number from 0.001 to 119.999, got "400"' in done.stderr
+
+
+@pytest.mark.usefixtures("asks_again")
+def test_answers_that_do_not_fit_one_another_are_offered_once_more(tmp_path: Path) -> None:
+    """Three points on a line show only after the last question."""
+    file = tmp_path / "mine.yaml"
+    line = ["-50 0 -660", "0 0 -660", "50 0 -660"]
+    given = [*answers(p4="160", p9="6", p22="points")[:24], "3", *line, "", "2"]
+    second = [*[""] * 26, "0 40 -660", *[""] * 3]
+    done = answered(file, [*given, *second])
+    assert done.exit_code == 0, done.output
+    assert "Again: target.points: expected features that determine the pose" in done.stderr
+    assert done.stdout.count("Mass of the platform with the camera [kg] [6]") == 1
+    scenario = hs.load_scenario(file)
+    np.testing.assert_allclose(
+        np.array(scenario.target.points), [[-0.05, 0, -0.66], [0, 0.04, -0.66], [0.05, 0, -0.66]]
+    )
+    robot = scenario.robot
+    assert (robot.base_radius, robot.mass, scenario.controller.gains.auto.bandwidth) == (0.16, 6.0, 2.0)
+
+
+@pytest.mark.usefixtures("asks_again")
+def test_an_earlier_answer_that_no_longer_fits_gives_way_to_the_default(tmp_path: Path) -> None:
+    """The tag of the first round is too large for the distance of the second."""
+    file = tmp_path / "mine.yaml"
+    given = answers(p23="2000", p24="1000", p25="90000 0 0 0 0 0")
+    second = answers(p23="500", p25="0 0 0 0 0 1")
+    done = answered(file, [*given, *second[:25], "", *second[25:]])
+    assert done.exit_code == 0, done.output
+    assert "Side of the tag [mm] [1000]" in done.stdout
+    assert hs.load_scenario(file).robot.platform_radius == 0.1
 
 
 def test_files_are_kept_unless_they_are_ours_and_forced(tmp_path: Path) -> None:

@@ -13,17 +13,19 @@ from hexservo.cli.terminal import complain, write
 __all__ = ["Check", "Dialogue"]
 
 Check = Callable[[Any], str | None]
+_FARTHEST = 1e5  # magnitude of one of several numbers, where no other bound is given
 
 
 class Dialogue:
     """Questions and answers, with one check at each answer.
 
     Without a terminal the answers are echoed, and the first wrong one raises a `ScenarioError`; the end of the input
-    raises an `EOFError`.
+    raises an `EOFError`. A question that is asked again later offers what was answered to it.
     """
 
     def __init__(self, interactive: bool) -> None:
-        self._interactive = interactive
+        self.interactive = interactive
+        self._given: dict[str, str] = {}  # accepted answers by question, without those that were a default
 
     def say(self, text: str) -> None:
         """Write a line."""
@@ -32,12 +34,13 @@ class Dialogue:
     def ask(self, question: str, default: str, read: Callable[[str], Any], check: Check | None = None) -> Any:
         """Return the answer, once it is one; the end of the input, and without a terminal a wrong answer, raise."""
         while True:
-            write(f"{question} [{default}]: ")
+            offered = self._given.get(question, default)
+            write(f"{question} [{offered}]: ")
             line = sys.stdin.readline() if sys.stdin is not None else ""
             if not line:
                 raise EOFError
-            answer = line.strip() or default
-            if not self._interactive:
+            answer = line.strip() or offered
+            if not self.interactive:
                 write(f"{answer}\n")
             try:
                 value = read(answer)
@@ -45,25 +48,48 @@ class Dialogue:
             except ValueError as error:
                 problem = str(error)
             if problem is None:
+                if line.strip():
+                    self._given[question] = answer
                 return value
-            if not self._interactive:
+            if not self.interactive:
                 raise hs.ScenarioError([f'{question}: {problem}, got "{answer}"'])
             complain(f'{problem}, got "{answer}"', head="Again")
+            if not line.strip():  # what was answered before does not fit other answers any more
+                self._given.pop(question, None)
 
-    def number(self, question: str, default: float, *, zero: bool = False) -> float:
-        """Return a number above 0, or 0 where that is allowed."""
+    def number(
+        self, question: str, default: float, least: float, most: float = _FARTHEST, *, zero: bool = False
+    ) -> float:
+        """Return a number from `least` to `most`, or 0 where that is allowed."""
 
         def check(value: float) -> str | None:
-            return None if value > 0 or (zero and value == 0) else f"expected a number {'>= 0' if zero else 'above 0'}"
+            if least <= value <= most or (zero and value == 0):
+                return None
+            return f"expected {'0, or ' if zero else ''}a number from {least:.9g} to {most:.9g}"
 
         return float(self.ask(question, f"{default:g}", one_number, check))
 
     def numbers(
-        self, question: str, default: str, count: int | tuple[int, ...], check: Check | None = None
+        self,
+        question: str,
+        default: str,
+        count: int | tuple[int, ...],
+        check: Check | None = None,
+        *,
+        within: float = _FARTHEST,
     ) -> list[float]:
-        """Return several numbers, as many as `count` or one of these, given with blanks or commas between."""
+        """Return several numbers, as many as `count` or one of these, given with blanks or commas between.
+
+        None is larger in magnitude than `within`.
+        """
         counts = (count,) if isinstance(count, int) else count
-        return list(self.ask(question, default, lambda text: _numbers(text, *counts), check))
+
+        def check_all(values: list[float]) -> str | None:
+            if max(map(abs, values)) > within:
+                return f"expected numbers within +-{within:.9g}"
+            return None if check is None else check(values)
+
+        return list(self.ask(question, default, lambda text: _numbers(text, *counts), check_all))
 
     def choice(self, question: str, choices: tuple[str, ...]) -> str:
         """Return one of some words; the first is the default."""

@@ -13,7 +13,9 @@ import typer
 
 import hexservo as hs
 from hexservo.cli.dialogue import Check, Dialogue, one_number
+from hexservo.cli.parts import require_hold, shows_middle
 from hexservo.cli.terminal import INTERRUPTED, complain, errors_as_messages, write
+from hexservo.scenario.blocks import Metrics
 from hexservo.scenario.laws import GENERAL_LAW
 from hexservo.scenario.rules import Name
 
@@ -27,8 +29,19 @@ __all__ = ["new"]
 _TITLE = "# Made by `hexservo new --machine`."
 _DEGREE = math.pi / 180.0
 _TICKS = 150  # servo periods in one of the bandwidth, at least: more than `hexservo check` asks for
-_PERIODS = 10  # of the bandwidth in a run
+_PERIODS = 10  # of the bandwidth in a run, at least
+_ROOM = 2  # times the longest of the metrics' times and the frame period that a run lasts, at least
+_ROUNDING = 1e-9  # relative, by which a number may be above the whole number that it stands for
 _MOST_POINTS = 16
+_TURN = 360.0  # [deg], magnitude of an angle
+_APART = (0.001, 119.999)  # [deg], of two joints in a pair: at 120 they would meet those of the next ones
+_LENGTH = 0.1  # [mm], at least
+_MASS = 1e-4  # [kg], at least
+_EFFORTS = (1e-9, 1e9)  # [N] or [N m]
+_INERTIA = 1e10  # [kg m^2], at most
+_POINT = 1e6  # [mm], magnitude of a coordinate of a point: as far as home, camera and distance together, and more
+_RATES = (0.1, 1e4)  # [1/s], of the camera
+_BANDWIDTHS = (0.05, 500.0)  # [Hz]: with any rate, a run's times and its log are ones that a scenario may have
 _PRODUCTS = ([0, 0, 1], [1, 2, 2])  # places of xy, xz, yz in an inertia
 
 
@@ -40,8 +53,9 @@ def new(
 
     Asks for them one by one.
 
-    Enter takes the answer in brackets. Each answer is checked at once; without a terminal, answers are read from
-    standard input, one a line, and the first that is wrong ends the command. The file appears whole or not at all.
+    Enter takes the answer in brackets. Each answer is checked at once, and answers that do not fit one another are
+    asked again, with what was answered in the brackets. Without a terminal, answers are read from standard input, one
+    a line, and the first that is wrong ends the command. The file appears whole or not at all.
     """
     with errors_as_messages():
         from hexservo.run.files import check_file, write_file
@@ -49,7 +63,7 @@ def new(
         name = _checked_name(machine)
         check_file(machine, _TITLE, "`hexservo new`", force=force)
         try:
-            text = _scenario_text(Dialogue(sys.stdin is not None and sys.stdin.isatty()), name)
+            text = _fitting_text(Dialogue(sys.stdin is not None and sys.stdin.isatty()), name)
         except (EOFError, typer.Abort):
             raise hs.ScenarioError(["expected an answer to every question, got the end of standard input"]) from None
         except KeyboardInterrupt:
@@ -72,6 +86,19 @@ def _checked_name(file: str) -> str:
         ) from None
 
 
+def _fitting_text(dialogue: Dialogue, name: str) -> str:
+    """Return the text of a file that loads; at a terminal the questions come again until the answers fit."""
+    while True:
+        try:
+            return _scenario_text(dialogue, name)
+        except hs.ScenarioError as error:
+            if not dialogue.interactive:
+                raise
+            problem = str(error)
+        complain(problem, head="Again")
+        dialogue.say("\nThe questions again, with your answers in the brackets: Enter keeps one.\n")
+
+
 def _scenario_text(dialogue: Dialogue, name: str) -> str:
     """Return the text of a file that loads, from all answers."""
     from scipy.spatial.transform import Rotation
@@ -85,12 +112,14 @@ def _scenario_text(dialogue: Dialogue, name: str) -> str:
     place = np.add(robot["home_position"], home.apply(camera["mount"]["position"]))
     focal = float(np.max(camera["focal_pixels"]))
     target = _target(dialogue, place, home * looks, camera["image_size"], focal)
-    bandwidth = dialogue.number("Bandwidth of the loop [Hz]", 1.0)
+    bandwidth = dialogue.number("Bandwidth of the loop [Hz]", 1.0, *_BANDWIDTHS)
     period = camera["period"]
-    parts = max(1, math.ceil(period * _TICKS * bandwidth))
+    parts = max(1, math.ceil(period * _TICKS * bandwidth * (1.0 - _ROUNDING)))
     step = period / parts  # not rounded: times are whole numbers of it
     dialogue.say(f"The servo period is {1e3 * step:.4g} ms, {f'1/{parts} of' if parts > 1 else ''} the frame period.")
-    frames = math.ceil(_PERIODS / bandwidth / period)
+    metrics = Metrics()
+    duration = max(_PERIODS / bandwidth, _ROOM * max(metrics.dwell, metrics.rms_start, period))
+    frames = math.ceil(duration / period * (1.0 - _ROUNDING))
     document: dict[str, Any] = {
         "name": name,
         "description": "A machine from its data sheet",
@@ -118,8 +147,10 @@ def _robot(dialogue: Dialogue) -> dict[str, Any]:
     form = dialogue.choice("Joints of the legs: on circles, in pairs, or given one by one", ("circles", "joints"))
     if form == "circles":
         for side, radius, apart in (("platform", 100.0, 20.0), ("base", 150.0, 20.0)):
-            robot[f"{side}_radius"] = 1e-3 * dialogue.number(f"Radius of the {side} joints' circle [mm]", radius)
-            angle = _DEGREE * dialogue.number(f"Angle between the two {side} joints of a pair [deg]", apart)
+            robot[f"{side}_radius"] = 1e-3 * dialogue.number(
+                f"Radius of the {side} joints' circle [mm]", radius, _LENGTH
+            )
+            angle = _DEGREE * dialogue.number(f"Angle between the two {side} joints of a pair [deg]", apart, *_APART)
             robot[f"{side}_angles"] = [_rounded(value) for value in _pairs(side, angle)]
         dialogue.say("Pairs of the base are about 0, 120 and 240 deg, pairs of the platform halfway between.")
     else:
@@ -130,23 +161,29 @@ def _robot(dialogue: Dialogue) -> dict[str, Any]:
             ]
     home = dialogue.numbers("Home of the platform frame in the base: x y z [mm]", "0 0 -160", 3)
     robot["home_position"] = _metres(home)
-    attitude = _radians(dialogue.numbers("Its attitude there: about x y z, axis times angle [deg]", "0 0 0", 3))
+    attitude = _radians(
+        dialogue.numbers("Its attitude there: about x y z, axis times angle [deg]", "0 0 0", 3, within=_TURN)
+    )
     if any(attitude):
         robot["home_attitude"] = attitude
     if rotary:
         robot |= {"legs": "rotary", "cranks": _cranks(dialogue, robot)}
-        travel = dialogue.numbers("Travel of a crank from home: least largest [deg]", "-40 40", 2, _about_home)
+        require_hold(robot)
+        travel = dialogue.numbers(
+            "Travel of a crank from home: least largest [deg]", "-40 40", 2, _about_home, within=_TURN
+        )
         robot["stroke"] = _radians(travel)
     else:
+        require_hold(robot)
         travel = dialogue.numbers("Travel of a leg from home: shortest longest [mm]", "-15 15", 2, _about_home)
         robot["stroke"] = _metres(travel)
     robot["gravity"] = 9.81
-    robot["mass"] = dialogue.number("Mass of the platform with the camera [kg]", 5.0)
+    robot["mass"] = dialogue.number("Mass of the platform with the camera [kg]", 5.0, _MASS)
     centre = _metres(dialogue.numbers("Its centre of mass in the platform frame: x y z [mm]", "0 0 0", 3))
     if any(centre):
         robot["centre_of_mass"] = centre
     robot["inertia"] = _inertia(dialogue, robot)
-    load = dialogue.number("Mass of a load on it, 0: none [kg]", 0.0, zero=True)
+    load = dialogue.number("Mass of a load on it, 0: none [kg]", 0.0, _MASS, zero=True)
     if load > 0:
         place = dialogue.numbers("Centre of the load in the platform frame: x y z [mm]", "0 0 -50", 3)
         inertia = dialogue.numbers(
@@ -154,15 +191,16 @@ def _robot(dialogue: Dialogue) -> dict[str, Any]:
             "0 0 0",
             3,
             lambda values: _of_body(values, 0.0),
+            within=_INERTIA,
         )
         known = dialogue.choice("Does the controller count on the load", ("yes", "no")) == "yes"
         robot["payload"] = {"mass": load, "position": _metres(place), "inertia": inertia, "known": known}
     weight = (robot["mass"] + load) * robot["gravity"]
     if rotary:
         torque = float(f"{weight * robot['cranks']['length']:.2g}")
-        robot["force_limit"] = dialogue.number("Largest torque of a crank [N m]", torque)
+        robot["force_limit"] = dialogue.number("Largest torque of a crank [N m]", torque, *_EFFORTS)
     else:
-        robot["force_limit"] = dialogue.number("Largest force of a leg [N]", float(f"{weight:.2g}"))
+        robot["force_limit"] = dialogue.number("Largest force of a leg [N]", float(f"{weight:.2g}"), *_EFFORTS)
     return robot
 
 
@@ -171,7 +209,7 @@ def _cranks(dialogue: Dialogue, robot: dict[str, Any]) -> dict[str, Any]:
     from scipy.spatial.transform import Rotation
 
     platform, base = (_joints(robot, side) for side in ("platform", "base"))
-    length = 1e-3 * dialogue.number("Length of a crank, from its axis to the rod [mm]", 50.0)
+    length = 1e-3 * dialogue.number("Length of a crank, from its axis to the rod [mm]", 50.0, _LENGTH)
     dialogue.say("The base joints are the centres of the cranks.")
     form = dialogue.choice("Axes of the cranks: away from the base's middle, or given one by one", ("radial", "given"))
     if form == "radial":
@@ -198,7 +236,7 @@ def _cranks(dialogue: Dialogue, robot: dict[str, Any]) -> dict[str, Any]:
     turned = Rotation.from_rotvec(robot.get("home_attitude", [0.0] * 3)).apply(platform)
     u = np.asarray(robot["home_position"]) + turned - base
     closed = float(np.linalg.norm(u - length * zero, axis=1).mean())
-    rod = 1e-3 * dialogue.number("Length of a rod [mm]", float(f"{1e3 * closed:.4g}"))
+    rod = 1e-3 * dialogue.number("Length of a rod [mm]", float(f"{1e3 * closed:.4g}"), _LENGTH)
     across, along = (u * zero).sum(axis=1), (u * np.cross(axes, zero)).sum(axis=1)
     radius = 2.0 * length * np.hypot(across, along)
     share = ((u * u).sum(axis=1) + length**2 - rod**2) / np.maximum(radius, 1e-300)
@@ -263,7 +301,9 @@ def _inertia(dialogue: Dialogue, robot: dict[str, Any]) -> list[float] | list[li
             return problem
         return f"of the principal moments about the centre of mass, less mass times distance squared: {problem}"
 
-    values = dialogue.numbers("Inertia about the platform frame's axes x y z [kg m^2]", default, (3, 6), check)
+    values = dialogue.numbers(
+        "Inertia about the platform frame's axes x y z [kg m^2]", default, (3, 6), check, within=_INERTIA
+    )
     rows: list[list[float]] = _tensor(values).tolist()
     return values if len(values) == 3 else rows
 
@@ -290,14 +330,14 @@ def _camera(dialogue: Dialogue) -> tuple[dict[str, Any], Rotation]:
 
     dialogue.say("Without a rotation the camera looks along -z of the platform frame: up, from a level platform.")
     place = _metres(dialogue.numbers("Camera in the platform frame: x y z [mm]", "0 0 0", 3))
-    turn = dialogue.numbers("Its rotation there: about x y z, axis times angle [deg]", "0 0 0", 3)
+    turn = dialogue.numbers("Its rotation there: about x y z, axis times angle [deg]", "0 0 0", 3, within=_TURN)
     looks = Rotation.from_rotvec(_radians(turn))
     camera = _intrinsics(dialogue)
     camera["mount"] = {"position": place, **({"rotation": _vector(looks)} if any(turn) else {})}
-    rate = dialogue.number("Frames per second [1/s]", 30.0)
-    period = _rounded(round(1e3 / rate) * 1e-3 if rate <= 200.0 else 1.0 / rate)
+    rate = dialogue.number("Frames per second [1/s]", 30.0, *_RATES)
+    period = 1.0 / rate  # not rounded: the rate is the one that was asked for
     dialogue.say(f"The frame period is {1e3 * period:.4g} ms, and an image is used as long after its exposure.")
-    noise = dialogue.number("Noise of a detected point, standard deviation [px]", 0.2, zero=True)
+    noise = dialogue.number("Noise of a detected point, standard deviation [px]", 0.2, 1e-3, 1e3, zero=True)
     return {**camera, "period": period, "latency": period, "noise": noise, "prediction": "encoder"}, looks
 
 
@@ -313,11 +353,16 @@ def _intrinsics(dialogue: Dialogue) -> dict[str, Any]:
     if dialogue.choice("Camera matrix: numbers, or a calibration file of OpenCV", ("numbers", "file")) == "file":
         camera: dict[str, Any] = dialogue.ask("Calibration file (YAML)", "", read)
     else:
-        camera = {"focal_pixels": dialogue.number("Focal length, fx of OpenCV's camera matrix [px]", 1500.0)}
+        camera = {"focal_pixels": dialogue.number("Focal length, fx of OpenCV's camera matrix [px]", 1500.0, 1.0)}
     if camera.get("image_size") is None:
-        camera["image_size"] = dialogue.numbers("Image size: width height [px]", "1280 1024", 2, _positive)
+        camera["image_size"] = dialogue.numbers("Image size: width height [px]", "1280 1024", 2, _image)
     if "distortion" not in camera:
-        lens = dialogue.numbers("Distortion, as OpenCV has it: k1 k2 p1 p2 k3", "0 0 0 0 0", 5)
+
+        def shows(lens: list[float]) -> str | None:
+            seen = not any(lens) or shows_middle({**camera, "distortion": {"brown_conrady": lens}})
+            return None if seen else "expected a lens that shows the middle of the image, half as wide and high"
+
+        lens = dialogue.numbers("Distortion, as OpenCV has it: k1 k2 p1 p2 k3", "0 0 0 0 0", 5, shows)
         if any(lens):
             camera["distortion"] = {"brown_conrady": lens}
     return camera
@@ -327,8 +372,12 @@ def _about_home(travel: list[float]) -> str | None:
     return None if travel[0] <= 0 <= travel[1] and travel[0] < travel[1] else "expected a number <= 0, then one >= 0"
 
 
-def _positive(values: list[float]) -> str | None:
-    return None if min(values) > 0 else "expected numbers above 0"
+def _image(size: list[float]) -> str | None:
+    return None if min(size) >= 1 else "expected numbers of at least 1"
+
+
+def _goal(pose: list[float]) -> str | None:
+    return None if max(map(abs, pose[3:])) <= _TURN else f"expected turns within +-{_TURN:g}"
 
 
 def _target(
@@ -337,7 +386,7 @@ def _target(
     """Return the target; `camera` (3,) is where the camera is at home [m], `looks` its attitude, both in B."""
     kind = dialogue.choice("Target: a square tag, a grid of points, or points one by one", ("tag", "grid", "points"))
     dialogue.say("Tag and grid are on the line of sight from home, facing the camera.")
-    distance = 1e-3 * dialogue.number("Distance of the target from the camera at home [mm]", 500.0)
+    distance = 1e-3 * dialogue.number("Distance of the target from the camera at home [mm]", 500.0, 1.0)
     most = 0.8e3 * min(image) * distance / focal  # [mm], four fifths of the image
     middle = camera + looks.apply([0.0, 0.0, -distance])
     pose = [*(_rounded(value) for value in middle.tolist()), *_vector(looks)]
@@ -372,12 +421,15 @@ def _target(
         texts = [" ".join(f"{value:.5g}" for value in row) for row in 1e3 * (middle + looks.apply(plane)) + 0.0]
         target = {
             "points": [
-                _metres(dialogue.numbers(f"Point {number} in the base frame: x y z [mm]", text, 3))
+                _metres(dialogue.numbers(f"Point {number} in the base frame: x y z [mm]", text, 3, within=_POINT))
                 for number, text in enumerate(texts, start=1)
             ]
         }
     goal = dialogue.numbers(
-        "Goal, where the platform shall go from home: x y z [mm], turn about x y z [deg]", "3 -2 2 -0.5 -0.5 1", 6
+        "Goal, where the platform shall go from home: x y z [mm], turn about x y z [deg]",
+        "3 -2 2 -0.5 -0.5 1",
+        6,
+        _goal,
     )
     return {**target, "desired_pose": [*_metres(goal[:3]), *_radians(goal[3:])]}
 
