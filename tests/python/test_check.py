@@ -10,6 +10,7 @@ import pytest
 
 import hexservo as hs
 from hexservo import _core
+from hexservo.findings.analysis.linear_law import NotFiniteError
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check import fastest_rate, keys_without_effect, unlikely
 from test_keys_with_effect import fingerprint
@@ -147,6 +148,25 @@ def test_a_slope_of_the_switching_term_counts(paper: hs.Scenario) -> None:
     assert rate > 0.5 * 2e-3 / 1e-6 / paper.robot.mass
     assert fastest_rate(scene_of(paper)) < 1e-2 * rate
     assert math.isfinite(rate)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("name", "changes", "reason"),
+    [
+        ("paper", {"controller.hybrid.kp": 1e300}, "finite poles"),
+        ("reachy-mini", {"controller.resolved_rate.gain": 1e300}, "finite poles"),  # beside it no twist counts
+        ("pi-h824", {"controller.composite.kp": 1e308}, "a finite wrench at the start"),
+    ],
+)
+def test_gains_with_which_the_loop_overflows(name: str, changes: dict[str, Any], reason: str) -> None:
+    scenario = hs.load_scenario(name, changes)
+    law = scenario.controller.law
+    assert f"cannot be evaluated, since numbers overflow (controller: expected gains that give {reason}" in only(
+        scenario, f"controller.{law}: the gains' bandwidth"
+    )
+    with pytest.raises(NotFiniteError):
+        fastest_rate(scene_of(scenario))
 
 
 # ---- Keys without effect --------------------------------------------------------------------------------------------

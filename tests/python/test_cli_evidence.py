@@ -103,6 +103,17 @@ def test_sections_are_printed_in_words_and_tables(command: str) -> None:
 
 
 @pytest.mark.parametrize("command", COMMANDS)
+def test_numbers_on_standard_output(command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing else is there, for a pipe to another program, and they are those of a file."""
+    monkeypatch.chdir(tmp_path)
+    code, out, _ = invoke(command, "paper", *SHORT, "--json", "-")
+    assert code == 0
+    assert invoke(command, "paper", *SHORT, "--json", "numbers.json")[0] == 0
+    assert out == Path("numbers.json").read_text(encoding="utf-8")
+    assert not Path("-").exists()
+
+
+@pytest.mark.parametrize("command", COMMANDS)
 def test_numbers_as_json(command: str, tmp_path: Path) -> None:
     file = tmp_path / "numbers.json"
     assert invoke(command, "paper", *SHORT, "--json", file)[0] == 0

@@ -54,6 +54,18 @@ def test_defaults_make_a_machine_that_settles(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.array(scenario.target.points), np.array(corners))
 
 
+def test_a_tag_too_small_for_a_law_is_warned_of(tmp_path: Path) -> None:
+    """As by `hexservo check` of the file, which is written: the answers are legal."""
+    file = tmp_path / "mine.yaml"
+    done = answered(file, answers(p23="0.001"))
+    assert done.exit_code == 0, done.output
+    warning = "expected gains that give a finite wrench at the start"
+    assert warning in done.output
+    checked = CliRunner().invoke(cli.app, ["check", str(file)])
+    assert checked.exit_code == 0
+    assert warning in checked.stderr
+
+
 def test_the_travel_along_each_axis_ends_where_the_legs_do(tmp_path: Path) -> None:
     file = tmp_path / "mine.yaml"
     done = answered(file, answers())

@@ -388,6 +388,22 @@ def test_the_command_prints_and_writes(tmp_path: Path) -> None:
     assert not (folder / "paper-minus.yaml").exists()
 
 
+def test_all_laws_are_the_default(monkeypatch: pytest.MonkeyPatch) -> None:
+    chosen = []
+    whole = hs.compare
+
+    def watched(scenarios: Any, laws: Any, **more: Any) -> hs.Comparison:
+        chosen.append(laws)
+        return whole(scenarios, ["hybrid"], **more)
+
+    monkeypatch.setattr(hs, "compare", watched)
+    assert invoke("--scenarios", "paper", *QUICK).exit_code == 0
+    assert invoke("--scenarios", "paper", "--laws", "all", *QUICK).exit_code == 0
+    assert chosen == [None, None]
+    shown = " ".join(invoke("--help").stdout.split())
+    assert "[default: all]" in shown
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -286,9 +286,35 @@ def test_it_is_compared_beside_laws(sampled: hs.Scenario, paper: hs.Scenario) ->
     assert "| held |" in found.to_markdown()
     assert len(found.figure().axes) == 5
     assert hs.compare(scenarios[:1], [], controllers={"held": hold}).laws == ("held",)
-    with pytest.raises(ZeroDivisionError):
-        hs.compare(scenarios[:1], [], controllers={"broken": lambda seen: 1 / 0})
     with pytest.raises(ValueError, match="expected names that are text and not names of laws, got 'hybrid'"):
         hs.compare(scenarios[:1], controllers={"hybrid": hold})
     with pytest.raises(TypeError, match="controllers: held: expected a function, got int"):
         hs.compare(scenarios[:1], controllers={"held": 1})  # type: ignore[dict-item]
+
+
+def test_one_that_fails_is_a_row_of_a_comparison(sampled: hs.Scenario) -> None:
+    """The other rows are kept; the sentence has the message and the tick."""
+
+    def raises(seen: hs.Observation) -> np.ndarray:
+        if seen.tick == 3:
+            raise LookupError("no map\nof this place")
+        return hold(seen)
+
+    def gives_nan(seen: hs.Observation) -> np.ndarray:
+        return np.full(6, np.nan) if seen.tick == 2 else hold(seen)
+
+    done: list[tuple[int, int]] = []
+    functions = {"raises": raises, "gives nan": gives_nan, "held": hold}
+    found = hs.compare([sampled], ["kelly"], controllers=functions, progress=lambda *at: done.append(at))
+    assert done[-1] == (4, 4)
+    assert [row.outcome for row in found.rows] == ["completed", "failed", "failed", "completed"]
+    failed = [found.row(name, "paper") for name in ("raises", "gives nan")]
+    if hasattr(Exception, "add_note"):
+        assert failed[0].why == "LookupError: no map of this place; raised by the controller at tick 3 (t = 0.003 s)"
+    assert failed[0].why.startswith("LookupError: no map of this place")
+    assert failed[1].why.startswith("ValueError: controller: expected a wrench of 6 finite numbers at tick 2 (t = ")
+    for row in failed:
+        assert (row.verdict, row.settled, dict(row.metrics), len(row.time)) == ("failed", False, {}, 0)
+    assert "| paper | raises | failed |" in found.to_markdown()
+    assert "paper,gives nan,failed,no," in found.to_csv()
+    assert len(found.figure().axes) == 4

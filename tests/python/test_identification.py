@@ -399,6 +399,8 @@ def test_the_command_writes_a_scenario_that_runs_and_diagnose_goes_on(paper: hs.
     again = CliRunner().invoke(app, arguments)
     assert again.exit_code == 2
     assert "--force" in again.output
+    piped = CliRunner().invoke(app, ["identify", str(log), "-m", "paper", "--json", "-"])
+    assert piped.stdout == numbers.read_text(encoding="utf-8")
     diagnosed = CliRunner().invoke(app, ["diagnose", str(log), "--machine", "paper"])
     assert diagnosed.exit_code in {0, 3}, diagnosed.output
     assert "iagnos" in diagnosed.output or "cause" in diagnosed.output

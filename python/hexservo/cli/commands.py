@@ -45,6 +45,7 @@ if TYPE_CHECKING:
 
 __all__ = ["app", "main"]
 
+_ALL = "all"  # laws that the core has for any machine, and those that a scenario has
 _GAP = 2  # between two columns of a table
 _WIDTH_FOR_MEANINGS = 72  # in a narrower terminal the table has no meanings of the metrics
 
@@ -145,8 +146,13 @@ def compare(
         ),
     ],
     laws: Annotated[
-        str | None, typer.Option("--laws", metavar="NAMES", help="Laws, with commas between.  [default: all]")
-    ] = None,
+        str,
+        typer.Option(
+            "--laws",
+            metavar="NAMES",
+            help='Laws, with commas between; "all": those of any machine, and tracking where a scenario has it.',
+        ),
+    ] = _ALL,
     settings: SettingsOption = None,
     out: Annotated[
         str | None,
@@ -165,7 +171,7 @@ def compare(
         from hexservo.run.files import check_folder, has_results
         from hexservo.run.publish import OutputError
 
-        names, chosen_laws = expanded(scenarios), None if laws is None else split(laws)
+        names, chosen_laws = expanded(scenarios), None if laws == _ALL else split(laws)
         watched = sys.stderr is not None and sys.stderr.isatty()
         try:
             chosen = [load(name, settings or []) for name in names]

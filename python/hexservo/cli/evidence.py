@@ -24,6 +24,7 @@ from hexservo.cli.terminal import (
 )
 
 __all__ = [
+    "STANDARD_OUTPUT",
     "ForceOption",
     "JsonOption",
     "analyse",
@@ -35,6 +36,7 @@ __all__ = [
     "write_json",
 ]
 
+STANDARD_OUTPUT = "-"  # in place of a file
 _RunArgument = Annotated[
     str,
     typer.Argument(
@@ -42,7 +44,14 @@ _RunArgument = Annotated[
         help="Name of a packaged scenario, path of a YAML file, or path of a result.nc that `run --out` wrote.",
     ),
 ]
-JsonOption = Annotated[str | None, typer.Option("--json", metavar="FILE", help="Write all numbers there as JSON.")]
+JsonOption = Annotated[
+    str | None,
+    typer.Option(
+        "--json",
+        metavar="FILE",
+        help='Write all numbers there as JSON; "-" writes them to standard output, in place of the text.',
+    ),
+]
 ForceOption = Annotated[bool, typer.Option("--force", "-f", help="Replace a file that this command wrote earlier.")]
 
 
@@ -128,7 +137,8 @@ def _judge(
             raise hs.ScenarioError(str(error).splitlines()) from error
         if json is not None:
             write_json(name, found.to_dict(), json, force)
-        show_parts(*printed(found.sections()))
+        if json != STANDARD_OUTPUT:
+            show_parts(*printed(found.sections()))
         if isinstance(of, hs.Result):
             _exit_as(of)
 
@@ -199,15 +209,21 @@ def check_json(name: str, file: str, force: bool) -> None:
     """Refuse a file that `write_json` would not replace."""
     from hexservo.run.files import check_file
 
+    if file == STANDARD_OUTPUT:
+        return
     check_file(file, _title(name), f"`hexservo {name}`", force=force)
 
 
 def write_json(name: str, numbers: dict[str, Any], file: str, force: bool) -> None:
-    """Write the numbers of a command as JSON, whole or not at all."""
+    """Write the numbers of a command as JSON, a file whole or not at all."""
     from json import dumps
 
     from hexservo.run.files import write_file
 
     content = {"version": hs.__version__, **numbers}
-    text = dumps(content, indent=2, ensure_ascii=False, allow_nan=False).removeprefix("{\n")
-    write_file(f"{_title(name)}\n{text}\n", file, _title(name), f"`hexservo {name}`", force=force)
+    rest = dumps(content, indent=2, ensure_ascii=False, allow_nan=False).removeprefix("{\n")
+    text = f"{_title(name)}\n{rest}\n"
+    if file == STANDARD_OUTPUT:
+        write(text, encoding="utf-8")
+    else:
+        write_file(text, file, _title(name), f"`hexservo {name}`", force=force)

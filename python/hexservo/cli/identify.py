@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from hexservo.cli.evidence import ForceOption, JsonOption, check_json, identified, write_json
+from hexservo.cli.evidence import STANDARD_OUTPUT, ForceOption, JsonOption, check_json, identified, write_json
 from hexservo.cli.terminal import SettingsOption, errors_as_messages, show_parts, write
 
 __all__ = ["identify"]
@@ -48,6 +48,8 @@ def identify(
             write_file(f"{_TITLE}\n{found.scenario.to_yaml()}", out, _TITLE, "`hexservo identify`", force=force)
         if json is not None:
             write_json("identify", found.to_dict(), json, force)
+        if json == STANDARD_OUTPUT:
+            return
         show_parts(*printed(found.sections()))
         if out is not None:
             write(f"\n{out} is written.\n")

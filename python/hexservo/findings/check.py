@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from hexservo.findings.analysis.linear_law import NoRestError, linear_law, linear_plant
+from hexservo.findings.analysis.linear_law import NoRestError, NotFiniteError, linear_law, linear_plant
 from hexservo.findings.analysis.loop_of_scenario import NotApplicableError, quiet
 from hexservo.findings.analysis.reach import reach_of_start_and_goal
 from hexservo.findings.analysis.scene import Scene, scene_of
 from hexservo.findings.check_gains import of_gains
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.blocks import Robot, preset_values
 from hexservo.scenario.fitted import auto_of, chosen_keys, fitted_keys
@@ -37,14 +39,18 @@ def unlikely(scenario: Scenario) -> list[str]:
     Compares the weight at home with the force limits, home with the base, the stroke with the leg lengths, start and
     goal with stroke, joint limits and image, the start's twist with the speed limit, times of the camera and of the
     metrics with the duration, and in sampled mode the servo period with the loop of the gains, linearised at home with
-    the switching term as in `linear_law`; gains with duration, servo rate, delays and forces (`of_gains`). Does not
-    simulate.
+    the switching term as in `linear_law`; gains with duration, servo rate, delays and forces (`of_gains`). Gains with
+    which numbers of that loop overflow have a sentence that names it. Does not simulate.
     """
     scene = scene_of(scenario)
+    fastest, overflow = None, []
     try:
         fastest = fastest_rate(scene)
+    except NotFiniteError as error:
+        law = scenario.controller.law
+        overflow = [f"controller.{law}: the gains' bandwidth cannot be evaluated, since numbers overflow ({error})"]
     except (NoRestError, NotApplicableError):  # no law can be evaluated at home
-        fastest = None
+        pass
     return [
         *_of_legs(scene),
         *_of_goal(scene),
@@ -52,7 +58,7 @@ def unlikely(scenario: Scenario) -> list[str]:
         *_of_image(scenario),
         *_of_duration(scenario),
         *_of_period(scenario, fastest),
-        *of_gains(scene, fastest),
+        *(overflow or of_gains(scene, fastest)),
     ]
 
 
@@ -180,6 +186,8 @@ def fastest_rate(scene: Scene) -> float:
     ------
     NoRestError
         The law cannot be evaluated at home.
+    NotFiniteError
+        A `NoRestError`: the gains are so large that the law or the loop overflows.
     """
     controller = scene.scenario.controller
     if controller.traits.output == "pose":
@@ -188,12 +196,25 @@ def fastest_rate(scene: Scene) -> float:
     if calm.legs_follow_twists:
         weightless = calm.updated({"robot.gravity": [0.0, 0.0, 0.0]})  # the twist carries no weight
         law = linear_law(weightless, scene_of(weightless), scene.home)
-        return float(np.abs(np.linalg.eigvals(np.linalg.solve(-law.twist, law.frame[:, :6] + law.pose))).max())
+        return _largest(lambda: np.asarray(np.linalg.solve(-law.twist, law.frame[:, :6] + law.pose)))
     law = linear_law(calm, scene_of(calm), scene.home, smooth=_has_slope(scene.scenario))
     push = linear_plant(calm, scene.home).acceleration
-    by_pose, by_twist = push @ (law.frame[:, :6] + law.pose), push @ law.twist
-    poles = np.linalg.eigvals(np.block([[np.zeros((6, 6)), np.eye(6)], [by_pose, by_twist]]))
-    return float(np.abs(poles).max())
+
+    def state_matrix() -> Array:
+        by_pose, by_twist = push @ (law.frame[:, :6] + law.pose), push @ law.twist
+        return np.asarray(np.block([[np.zeros((6, 6)), np.eye(6)], [by_pose, by_twist]]))
+
+    return _largest(state_matrix)
+
+
+def _largest(rates: Callable[[], Array]) -> float:
+    """Return the largest magnitude of the eigenvalues of a matrix, the poles of a loop [1/s]."""
+    largest = math.inf
+    with np.errstate(over="ignore", invalid="ignore"), contextlib.suppress(np.linalg.LinAlgError):  # refused below
+        largest = float(np.abs(np.linalg.eigvals(rates())).max())
+    if not math.isfinite(largest):
+        raise NotFiniteError("controller: expected gains that give finite poles, got poles that are not finite")
+    return largest
 
 
 # ---- Keys without effect --------------------------------------------------------------------------------------------

@@ -66,8 +66,9 @@ def compare(
     Returns
     -------
     Comparison
-        A run that diverges is a row with its outcome, and so is a scenario that a law refuses ("refused"). Ctrl-C ends
-        the comparison; what is finished is kept, the other rows are "interrupted".
+        A run that diverges is a row with its outcome, and so is a scenario that a law refuses ("refused") and a run
+        whose custom controller raises or gives no finite command ("failed", with the message). Ctrl-C ends the
+        comparison; what is finished is kept, the other rows are "interrupted".
 
     Raises
     ------
@@ -200,7 +201,12 @@ def _run(
     """Run scenarios that may share a batch; one by one what no batch takes."""
     if group[0][1].law in functions:
         ((index, row),) = group
-        yield index, _row_of(row, simulate(row.scenario, controller=functions[row.law]))
+        try:
+            result = simulate(row.scenario, controller=functions[row.law])
+        except Exception as error:  # a function may raise anything; the other rows do not depend on it
+            yield index, ComparisonRow(row.law, row.scenario, "failed", _failure(error))
+        else:
+            yield index, _row_of(row, result)
         return
     scenarios = [row.scenario for _, row in group]
     try:
@@ -229,6 +235,12 @@ def _run(
                 errors[number][kept],
             ),
         )
+
+
+def _failure(error: Exception) -> str:
+    """Return an exception as one line, with its notes: `run_with` adds the tick at which a controller raised it."""
+    lines = [f"{type(error).__name__}: {error}", *getattr(error, "__notes__", [])]
+    return " ".join("; ".join(lines).split())
 
 
 def _single(row: ComparisonRow) -> ComparisonRow:

@@ -34,11 +34,12 @@ class ComparisonRow:
 
     law: str
     scenario: Scenario  # with that law; as given where the law refuses it
-    # as Result.outcome ("interrupted" also where a run was never begun), or "refused": the law cannot run the scenario
+    # as Result.outcome ("interrupted" also where a run was never begun), or "refused": the law cannot run the scenario,
+    # or "failed": the custom controller raised an exception or gave no finite command
     outcome: str
-    detail: str  # one sentence: how the run ended, or why it was refused
-    end_time: float = math.nan  # time of the last good sample [s]; NaN without a run
-    metrics: Mapping[str, float] = field(default_factory=dict, repr=False)  # of hs.METRICS; NaN without a run
+    detail: str  # one sentence: how the run ended, or why it was refused or failed
+    end_time: float = math.nan  # time of the last good sample [s]; NaN without the result of a run
+    metrics: Mapping[str, float] = field(default_factory=dict, repr=False)  # of hs.METRICS; none without a result
     time: Array = field(default_factory=lambda: np.empty(0), repr=False)  # (n,) [s], n at most about 5000
     error: Array = field(default_factory=lambda: np.empty(0), repr=False)  # (n,) [px], largest |feature error|
 

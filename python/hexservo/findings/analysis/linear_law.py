@@ -18,7 +18,16 @@ from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["LinearLaw", "LinearPlant", "NoRestError", "RestPose", "linear_law", "linear_plant", "rest_of"]
+__all__ = [
+    "LinearLaw",
+    "LinearPlant",
+    "NoRestError",
+    "NotFiniteError",
+    "RestPose",
+    "linear_law",
+    "linear_plant",
+    "rest_of",
+]
 
 _POSE_STEP = 1e-6  # of the finite differences [m; rad]: far below a membership's width, far above rounding
 _TWIST_STEP = 1e-6  # [m/s; rad/s], and at most a thousandth of the switching width
@@ -27,6 +36,10 @@ _ROUNDS = 40  # of the searches for the pose of rest
 
 class NoRestError(ValueError):
     """No pose was found at which the loop rests at its goal."""
+
+
+class NotFiniteError(NoRestError):
+    """The law's numbers, or those of the loop, overflow; the message names what does."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +106,10 @@ class _Tick:
                 settings[f"controller.{settings.law}.kv"] = 0.0
         mode = settings["simulation.mode"]
         settings["simulation.mode"] = "continuous"  # a frame and a pose at every tick: `image` delays them
-        self.core = _core.Controller(settings, scenario.simulation.step)
+        try:
+            self.core = _core.Controller(settings, scenario.simulation.step)
+        except ValueError as error:  # all that it refuses in a valid scenario is a wrench that overflows
+            raise NotFiniteError(str(error)) from error
         settings["simulation.mode"] = mode
         self.weights = weights
         self.probe = _core.Probe(settings)
@@ -264,11 +280,17 @@ def linear_law(
     ------
     NoRestError
         Where the law cannot be evaluated there.
+    NotFiniteError
+        A `NoRestError`: where its output or its slope overflows.
     """
     tick = _Tick(scenario, scene, smooth=smooth, weights=weights)
     tick.at(pose)
     width = scenario.controller.switching.width
-    return _law_at(tick, min(_TWIST_STEP, 1e-3 * width) if smooth else _TWIST_STEP)
+    with np.errstate(over="ignore", invalid="ignore"):  # overflow is refused below
+        law = _law_at(tick, min(_TWIST_STEP, 1e-3 * width) if smooth else _TWIST_STEP)
+    if not all(np.isfinite(slope).all() for slope in (law.frame, law.pose, law.twist)):
+        raise NotFiniteError("controller: expected gains whose law has a finite slope, got one that is not finite")
+    return law
 
 
 def linear_plant(scenario: Scenario, pose: Poses) -> LinearPlant:
