@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,7 +51,7 @@ def image_radius(scene: Scene) -> float:
     """
     size = scene.scenario.camera.image_size
     if size is not None and has_pixels(scene.scenario.camera):
-        return BORDER * _widest(scene.scenario, float(np.hypot(*size)))
+        return BORDER * _widest(scene.scenario, math.hypot(*size))
     if size is not None:
         return BORDER * 0.5 * float(min(size))
     return max(RADIUS, float(np.hypot(*scene.view(scene.home).features.reshape(-1, 2).T).max()))
