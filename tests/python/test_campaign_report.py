@@ -163,6 +163,11 @@ def test_every_picture_is_a_file_too(result: hs.CampaignResult, more: tuple[Sect
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == contents
 
 
+def test_anything_but_a_campaign_is_refused() -> None:
+    with pytest.raises(TypeError, match=r"result: expected a CampaignResult .*, got NoneType"):
+        hs.write_campaign_report(None)  # type: ignore[arg-type]
+
+
 def test_the_bars_are_the_indices(more: tuple[Section, ...]) -> None:
     section = more[-1]
     (bars,) = (item for item in section.items if isinstance(item, Bars))

@@ -213,8 +213,12 @@ def test_bad_choices_are_refused(scenarios: list[str], laws: list[str] | None, w
 def test_text_in_place_of_a_list_is_refused() -> None:
     with pytest.raises(TypeError, match="scenarios: expected a sequence"):
         hs.compare("paper")
+    with pytest.raises(TypeError, match="scenarios: expected a sequence of scenarios, names or paths, got NoneType"):
+        hs.compare(None)  # type: ignore[arg-type]
     with pytest.raises(TypeError, match="laws: expected a sequence"):
         hs.compare(["paper"], "hybrid")
+    with pytest.raises(TypeError, match="laws: expected a sequence of names or None, got int"):
+        hs.compare(["paper"], 3)  # type: ignore[arg-type]
     with pytest.raises(TypeError, match="progress: expected"):
         hs.compare(["paper"], ["hybrid"], SHORT, progress=3)  # type: ignore[arg-type]
 

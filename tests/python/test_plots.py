@@ -20,6 +20,7 @@ from matplotlib.text import Text
 from numpy.typing import NDArray
 
 import hexservo as hs
+from hexservo import plots as public
 from hexservo.draw import plots
 from hexservo.draw.panels import _spread
 from hexservo.draw.paper_figures import paper_figures
@@ -117,6 +118,13 @@ def labels(figure: Figure) -> set[str]:
 
 
 # ---- Each figure shows the run --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", [name for name in public.__all__ if name != "paper_figures"])
+def test_anything_but_a_run_is_refused(name: str) -> None:
+    expected = "scenario: expected a Scenario" if name == "rule_table" else "result: expected a Result"
+    with pytest.raises(TypeError, match=f"{expected} .*, got NoneType"):
+        getattr(public, name)(None)
 
 
 def test_rule_table_shows_terms_and_numbers() -> None:
@@ -640,6 +648,6 @@ assert dict.__getitem__(matplotlib.rcParams, "backend") is before
 
 def test_an_error_while_drawing_leaves_the_settings_alone() -> None:
     before = dict(matplotlib.rcParams)
-    with pytest.raises(AttributeError):
+    with pytest.raises(TypeError):
         plots.feature_errors(None)  # type: ignore[call-overload]
     assert dict(matplotlib.rcParams) == before

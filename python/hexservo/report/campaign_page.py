@@ -18,6 +18,7 @@ from hexservo.findings.evidence import Column, Section, Table
 from hexservo.report.evidence_html import badge, item_html, section_html, table_html
 from hexservo.report.html import Html, element, paragraphs
 from hexservo.report.page import assembled, explanations, plotly_script, scenario_part
+from hexservo.scenario.wording import wrong_type
 
 __all__ = ["REPORT", "write_campaign_report"]
 
@@ -43,11 +44,15 @@ def write_campaign_report(result: CampaignResult, more: tuple[Section, ...] = ()
 
     Raises
     ------
+    TypeError
+        For anything but a `CampaignResult`.
     ResultError
         A chunk is damaged.
     OutputError
         The file cannot be written.
     """
+    if not isinstance(result, CampaignResult):
+        raise wrong_type("result", "a CampaignResult (see hs.campaign)", result)
     sections = [*campaign_sections(result), *more]
     verdict, *others = sections
     plan = result.plan

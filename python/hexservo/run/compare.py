@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -73,7 +73,7 @@ def compare(
     Raises
     ------
     TypeError
-        For text in place of a sequence.
+        For anything but a sequence, as text or one scenario; for controllers that cannot be called.
     ValueError
         For no or repeated laws and scenarios, or an unknown law.
     ScenarioError
@@ -109,6 +109,8 @@ def _checked_laws(laws: Sequence[str] | None, scenarios: Sequence[Scenario]) -> 
         return tuple(law for law in ALL_LAWS if law in LAWS or law in own)
     if isinstance(laws, str):
         raise TypeError("laws: expected a sequence of names, got text")
+    if not isinstance(laws, Iterable):
+        raise wrong_type("laws", "a sequence of names or None", laws)
     for law in laws:
         if law not in ALL_LAWS:
             raise ValueError(f"laws: expected some of {', '.join(ALL_LAWS)}, got {law!r}")
@@ -135,6 +137,8 @@ def _checked_scenarios(
 ) -> tuple[Scenario, ...]:
     if isinstance(scenarios, str | os.PathLike | Scenario):
         raise TypeError("scenarios: expected a sequence of scenarios, names or paths, got one of them")
+    if not isinstance(scenarios, Iterable):
+        raise wrong_type("scenarios", "a sequence of scenarios, names or paths", scenarios)
     loaded = []
     for given in scenarios:
         document: Scenario | Document = given if isinstance(given, Scenario) else read_document(given)
