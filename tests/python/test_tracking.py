@@ -550,7 +550,12 @@ def test_no_simulated_leg_rests_elsewhere_than_commanded() -> None:
 
 @pytest.mark.parametrize("law", ["tracking", "composite", "resolved_rate", "kelly"])
 def test_check_knows_every_law_of_a_machine_that_takes_positions(law: str) -> None:
-    changes = {"controller.law": law, f"controller.{law}.auto.bandwidth": 2.0, "simulation.duration": 2.0}
+    changes = {
+        "controller.law": law,
+        f"controller.{law}.auto.bandwidth": 2.0,
+        "simulation.duration": 2.0,
+        "metrics.rms_start": 1.0,
+    }
     scenario = hs.load_scenario("pi-h824-positions").updated(changes)
     assert not [sentence for sentence in unlikely(scenario) if "enough for" in sentence]  # forces are not commanded
     if law == "tracking":
