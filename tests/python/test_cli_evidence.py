@@ -171,7 +171,7 @@ def test_exit_codes_are_those_of_a_run() -> None:
         code, out, error = invoke(command, *diverging)
         assert code == 3
         assert "Theme one" in out
-        assert error.startswith("Ended early: paper: diverged at t = 0.04 s: ")
+        assert error == "Ended early: paper: diverged: a feature error exceeded 10000 px at t = 0.041 s\n"
     assert invoke("analyse", *diverging)[0] == 0  # nothing was run
 
 

@@ -202,8 +202,8 @@ def errors_as_messages() -> Iterator[None]:
 
 
 def ending(result: hs.Result) -> str:
-    """Return the outcome of a run as one line."""
-    return f"{result.outcome.replace('_', ' ')} at t = {result.end_time:.6g} s: {result.detail}"
+    """Return the outcome of a run as one line, with one time: that of the event, a step after the last good sample."""
+    return f"{result.outcome.replace('_', ' ')}: {result.detail}"
 
 
 def spell_time(seconds: float) -> str:

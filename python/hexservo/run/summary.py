@@ -21,11 +21,14 @@ def summary_sentences(result: Result) -> list[str]:
 
 def _outcome(result: Result) -> str:
     law = f"the law {result.controller}" if result.by_law else f"the function {result.controller}"
-    steps = f"{result.end_time:.4g} s in {result.scenario.simulation.mode} mode, controlled by {law}"
     if result.outcome == "completed":
-        return f"The run completed: {steps}."
-    asked = f"{result.scenario.simulation.duration:.4g} s"
-    return f"The run ended early, at {result.end_time:.4g} s of {asked} ({result.outcome.replace('_', ' ')}): " + (
+        return (
+            f"The run completed: {result.end_time:.4g} s in {result.scenario.simulation.mode} mode, "
+            f"controlled by {law}."
+        )
+    # the detail has the time of the event, a step after the last good sample
+    return (
+        f"The run of {result.scenario.simulation.duration:.4g} s ended early ({result.outcome.replace('_', ' ')}): "
         f"{result.detail}. It was controlled by {law}."
     )
 
