@@ -242,10 +242,13 @@ def test_wrong_intrinsics_need_pixels(paper: hs.Scenario) -> None:
 
 @pytest.mark.parametrize("lens", LENSES)
 def test_analyses_are_those_of_the_pinhole(plain_camera: hs.Scenario, lens: str) -> None:
+    """Even where the noise is of the pixels: the pose of the goal is that of the features."""
     scenario = in_pixels(plain_camera, lens)
-    one = hs.analyse(scenario, ["conditioning"])
-    two = hs.analyse(on_pinhole(scenario), ["conditioning"])
-    assert one.to_dict()["conditioning"] == two.to_dict()["conditioning"]
+    one, two = (hs.analyse(of, ["conditioning", "workspace"]) for of in (scenario, on_pinhole(scenario)))
+    assert one.to_dict()["workspace"] == two.to_dict()["workspace"]
+    for name in ("best", "nearest"):
+        features = [getattr(found.conditioning.goals, name).view.features for found in (one, two)]
+        np.testing.assert_allclose(*features, rtol=0, atol=1e-6)
     seen = hs.project(scenario, np.zeros(6))
     np.testing.assert_allclose(seen, np.asarray(scenario.target.initial_features), rtol=0, atol=1e-9)
 
