@@ -247,8 +247,8 @@ def test_analyses_are_those_of_the_pinhole(plain_camera: hs.Scenario, lens: str)
     one, two = (hs.analyse(of, ["conditioning", "workspace"]) for of in (scenario, on_pinhole(scenario)))
     assert one.to_dict()["workspace"] == two.to_dict()["workspace"]
     for name in ("best", "nearest"):
-        features = [getattr(found.conditioning.goals, name).view.features for found in (one, two)]
-        np.testing.assert_allclose(*features, rtol=0, atol=1e-6)
+        mine, other = (getattr(found.conditioning.goals, name).view.features for found in (one, two))
+        np.testing.assert_allclose(mine, other, rtol=0, atol=1e-6)
     seen = hs.project(scenario, np.zeros(6))
     np.testing.assert_allclose(seen, np.asarray(scenario.target.initial_features), rtol=0, atol=1e-9)
 
