@@ -20,7 +20,7 @@ import hexservo as hs
 from hexservo import _core
 from hexservo.cli import commands as cli
 from hexservo.run import publish
-from hexservo.run.export import gains_header, write_header
+from hexservo.run.export import gains_header, robot_notes, write_header
 from hexservo.run.publish import OutputError
 from hexservo.scenario.parameters import core_parameters
 
@@ -269,6 +269,16 @@ int main() {{
 
 
 # ---- The command ----------------------------------------------------------------------------------------------------
+
+
+def test_what_a_robot_should_not_have_is_noted(paper: hs.Scenario) -> None:
+    """A camera without a timeout, in both modes, and errors that are the controller's own."""
+    assert ["camera.timeout" in note for note in robot_notes(paper)] == [True, False]
+    sampled = hs.load_scenario("real-machine")
+    forever, wrong = robot_notes(sampled)
+    assert forever.endswith("set camera.timeout for a robot")
+    assert "(uncertainty.depth)" in wrong
+    assert robot_notes(sampled.updated({"camera.timeout": 0.2, "uncertainty.depth": 0.0})) == []
 
 
 def test_export_writes_refuses_and_replaces(paper: hs.Scenario, tmp_path: Path) -> None:

@@ -24,12 +24,9 @@ namespace hexservo {
 /// A commanded motion starts, at rest, where the joints are known for the first time.
 template <class S, int N>
 void begin_motion(const SafetyGains<S, N>& gains, const Perceived<S, N>& seen, CommandedMotion<S>& motion) noexcept {
-  using std::sqrt;
   const Mask<S> starts = seen.joints & (!motion.begun);
   if (any(starts)) {
-    motion.pose.position = select(starts, seen.pose.position, motion.pose.position);
-    const Vector4<S> unit = seen.pose.quaternion * (S(1.0) / sqrt(S(seen.pose.quaternion.squaredNorm())));
-    motion.pose.quaternion = select(starts, unit, motion.pose.quaternion);
+    motion.pose = select_pose(starts, unit_pose(seen.pose), motion.pose);
     const LegsSideBySide<S> legs = inverse_kinematics(gains.legs, seen.pose.position, seen.R_BE);
     motion.legs = select(starts, legs.lengths.vector(), motion.legs);
     motion.begun = motion.begun | starts;

@@ -130,10 +130,9 @@ class PoseHistory {
     }
     // Of unit length, since a longer one would count for more between two ticks; what rounding leaves does not count.
     using std::abs;
-    using std::sqrt;
     const S squared = entry.pose.quaternion.squaredNorm();
     if (const Mask<S> longer = abs(S(squared - S(1.0))) > S(kUnitQuaternion); any(longer)) [[unlikely]]
-      entry.pose.quaternion *= select(longer, S(S(1.0) / sqrt(squared)), S(1.0));
+      entry.pose = select_pose(longer, unit_pose(entry.pose), entry.pose);
     if (!replaces) ++count_;
   }
 
@@ -306,8 +305,9 @@ class Perception {
 
   const Perceived<S, N>& now() const noexcept { return now_; }
 
-  /// Calls `f` with each member that is kept from tick to tick, always in the same order: `f.time` with those that are
-  /// never NaN nor infinity, `f.finite` with those that are always finite. The rest of `now` is computed at each tick.
+  /// Calls `f` with each member that is kept from tick to tick, always in the same order: `f.finite` with those that
+  /// are always finite, `f.time` with times, which are -infinity where there was none yet. The rest of `now` is
+  /// computed at each tick.
   template <class F>
   void for_each_member(F&& f) {
     if (reads_legs_) {

@@ -12,7 +12,7 @@ from hexservo.bridges.extras import extra
 from hexservo.findings.analysis.scene import Scene, scene_of
 from hexservo.scenario.arrays import Array, Mask, real_numbers
 from hexservo.scenario.parameters import Settings, core_parameters
-from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.scenario import Scenario, require_scenario
 from hexservo.scenario.wording import wrong_type
 
 if TYPE_CHECKING:
@@ -43,8 +43,7 @@ class HexapodVectorEnv(_vector.VectorEnv):  # type: ignore[misc]
         start_spread: ArrayLike = 0.0,
         autoreset: Literal["next_step", "same_step", "disabled"] = "next_step",
     ) -> None:
-        if not isinstance(scenario, Scenario):
-            raise wrong_type("scenario", "a Scenario (see hs.load_scenario)", scenario)
+        require_scenario(scenario)
         if isinstance(num_envs, bool) or not isinstance(num_envs, int | np.integer):
             raise wrong_type("num_envs", "an integer or None", num_envs)
         if num_envs < 1:

@@ -22,9 +22,8 @@ from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.flat import flat
 from hexservo.scenario.leg_units import leg_units, unit_of
 from hexservo.scenario.parameters import core_parameters
-from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.scenario import Scenario, require_scenario
 from hexservo.scenario.version import VERSION
-from hexservo.scenario.wording import wrong_type
 
 __all__ = ["UnitKind", "fmu", "write_fmu"]
 
@@ -76,8 +75,7 @@ def fmu(scenario: Scenario, *, fmi: Literal[2, 3] = 2, what: UnitKind = "loop") 
     FileNotFoundError
         Where the package was built without `c_library`, which the unit contains.
     """
-    if not isinstance(scenario, Scenario):
-        raise wrong_type("scenario", "a Scenario (see hs.load_scenario)", scenario)
+    require_scenario(scenario)
     if fmi not in _PLATFORM:
         raise ValueError(f"fmi: expected 2 or 3, got {fmi!r}")
     if what not in get_args(UnitKind):

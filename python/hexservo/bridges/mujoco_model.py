@@ -15,9 +15,8 @@ from hexservo.findings.analysis.scene import Scene, scene_of
 from hexservo.run.files import write_file
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.block import SAMPLED_MODE
-from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.scenario import Scenario, require_scenario
 from hexservo.scenario.version import VERSION
-from hexservo.scenario.wording import wrong_type
 
 __all__ = ["mjcf", "write_mjcf"]
 
@@ -75,8 +74,7 @@ def mjcf(scenario: Scenario) -> str:
     ValueError
         For legs that follow positions whatever it takes, for a camera ``as_printed``, and for what the core refuses.
     """
-    if not isinstance(scenario, Scenario):
-        raise wrong_type("scenario", "a Scenario (see hs.load_scenario)", scenario)
+    require_scenario(scenario)
     if scenario.actuators.kind == "position":
         raise ValueError(
             "actuators.kind: expected force or position_torque for MJCF, whose motors give forces, got position"

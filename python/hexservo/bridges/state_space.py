@@ -20,8 +20,7 @@ from hexservo.findings.analysis.loop_of_scenario import (
 )
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.scenario import Scenario
-from hexservo.scenario.wording import wrong_type
+from hexservo.scenario.scenario import Scenario, require_scenario
 
 if TYPE_CHECKING:
     from control import StateSpace
@@ -76,8 +75,7 @@ def control(scenario: Scenario, of: Literal["loop", "plant"] = "loop", *, sample
         or devices.
     """
     library = extra("control", "control")
-    if not isinstance(scenario, Scenario):
-        raise wrong_type("scenario", "a Scenario (see hs.load_scenario)", scenario)
+    require_scenario(scenario)
     if of not in ("loop", "plant"):
         raise ValueError(f"of: expected loop or plant, got {of!r}")
     discrete = scenario.simulation.mode == "sampled" if sampled is None else sampled

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from hexservo.draw.panels import describe, fill_panels, given_axes, note_outcome, place_panels, whole_run
 from hexservo.draw.style import BLACK, LEG_INKS, PAGE, styled
 from hexservo.run.leg_motion import leg_motions
-from hexservo.run.result import Result
-from hexservo.scenario.wording import wrong_type
+from hexservo.run.result import Result, require_result
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -58,8 +57,7 @@ def leg_limits(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | None = N
     ValueError
         For any other number of axes.
     """
-    if not isinstance(result, Result):
-        raise wrong_type("result", "a Result (see hs.simulate)", result)
+    require_result(result)
     drawn = leg_motions(result)
     given = None if axes is None else given_axes(axes, len(drawn))
     figure = Figure(figsize=(PAGE, _BOTTOM + _TOP + _HEIGHT + _STEP * (len(drawn) - 1)))

@@ -7,8 +7,7 @@ from pathlib import Path
 
 from hexservo.draw.plots import paper_images
 from hexservo.run.files import check_folder, write_folder
-from hexservo.run.result import Result
-from hexservo.scenario.wording import wrong_type
+from hexservo.run.result import Result, require_result
 
 __all__ = ["paper_figures"]
 
@@ -38,8 +37,7 @@ def paper_figures(result: Result, folder: str | os.PathLike[str], *, force: bool
     OutputError
         The folder cannot take the files (a `ValueError`); then nothing is written.
     """
-    if not isinstance(result, Result):
-        raise wrong_type("result", "a Result (see hs.simulate)", result)
+    require_result(result)
     check_folder(folder, force=force)
     images = paper_images(result)
 

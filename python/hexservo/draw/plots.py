@@ -60,7 +60,7 @@ from hexservo.draw.style import (
 )
 from hexservo.run.leg_limits import limits_of_motion
 from hexservo.run.metrics import metrics
-from hexservo.run.result import Result
+from hexservo.run.result import Result, require_result
 from hexservo.run.samples import ImageView, feature_names, image_views
 from hexservo.run.samples import extreme_samples as _extreme_samples
 from hexservo.run.samples import mean_samples as _mean_samples
@@ -71,8 +71,7 @@ from hexservo.scenario.leg_units import leg_units
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.pixels import desired_features
 from hexservo.scenario.rules import TERMS, term_text
-from hexservo.scenario.scenario import Scenario
-from hexservo.scenario.wording import wrong_type
+from hexservo.scenario.scenario import Scenario, require_scenario
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -131,8 +130,7 @@ def rule_table(scenario: Scenario, *, ax: Axes | None = None) -> Figure | Axes:
     ValueError
         For a law without fuzzy systems.
     """
-    if not isinstance(scenario, Scenario):
-        raise wrong_type("scenario", "a Scenario (see hs.load_scenario)", scenario)
+    require_scenario(scenario)
     law = scenario.controller.law
     if not _core.LAW_TRAITS[law].memory:
         raise ValueError(f"controller.law: expected one with fuzzy systems, got {law}")
@@ -195,8 +193,7 @@ def feature_errors(result: Result, *, ax: Axes | None = None) -> Figure | Axes:
     TypeError
         For anything but a `Result`.
     """
-    if not isinstance(result, Result):
-        raise wrong_type("result", "a Result (see hs.simulate)", result)
+    require_result(result)
     band = result.scenario.metrics.band
     points = result.scenario.target.count
     names, inks = (
@@ -265,8 +262,7 @@ def feature_paths(result: Result, *, ax: Axes | None = None) -> Figure | Axes:
     TypeError
         For anything but a `Result`.
     """
-    if not isinstance(result, Result):
-        raise wrong_type("result", "a Result (see hs.simulate)", result)
+    require_result(result)
     views = image_views(result)
     if ax is not None:
         _draw_paths(ax, result, views[0])
@@ -329,8 +325,7 @@ def platform_motion(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | Non
     ValueError
         For any other number of axes.
     """
-    if not isinstance(result, Result):
-        raise wrong_type("result", "a Result (see hs.simulate)", result)
+    require_result(result)
     displacement = 1e3 * (result.position - np.asarray(result.scenario.robot.home_position))
     rotation = 1e3 * _turns_from_home(result, result.quaternion)
     figure = Figure(figsize=(PAGE, 3.6))
@@ -382,8 +377,7 @@ def control_wrench(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | None
     ValueError
         For any other number of axes.
     """
-    if not isinstance(result, Result):
-        raise wrong_type("result", "a Result (see hs.simulate)", result)
+    require_result(result)
     weight = float(core_parameters(result.scenario).body.gravity_wrench[2])
     horizontal, vertical, moment = result.wrench[:, :2], result.wrench[:, 2:3], 1e3 * result.wrench[:, 3:]
     mean = _mean_samples(result.time)

@@ -9,8 +9,7 @@ from scipy.optimize import brentq
 from scipy.signal import cont2discrete
 
 from hexservo import _core
-from hexservo.scenario.scenario import Scenario
-from hexservo.scenario.wording import wrong_type
+from hexservo.scenario.scenario import Scenario, require_scenario
 
 __all__ = ["feedback_margin"]
 
@@ -50,8 +49,7 @@ def feedback_margin(scenario: Scenario) -> float:
     >>> round(hs.feedback_margin(hs.load_scenario("reachy-mini")), 1)
     1.8
     """
-    if not isinstance(scenario, Scenario):
-        raise wrong_type("scenario", "a Scenario (see hs.load_scenario)", scenario)
+    require_scenario(scenario)
     actuators, period = scenario.actuators, scenario.simulation.step
     if not actuators.takes_positions:
         raise ValueError(

@@ -13,8 +13,7 @@ from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.nearest import distance, nearest_within
 from hexservo.scenario.arrays import Array, real_numbers
 from hexservo.scenario.pixels import to_pixels
-from hexservo.scenario.scenario import Scenario
-from hexservo.scenario.wording import wrong_type
+from hexservo.scenario.scenario import Scenario, require_scenario
 
 __all__ = ["Reachability", "project", "reachable"]
 
@@ -82,8 +81,7 @@ def project(scenario: Scenario, pose: ArrayLike) -> Array:
     ValueError
         For poses that are not six finite numbers within 1e6 each, and for a camera `as_printed`, which has no points.
     """
-    if not isinstance(scenario, Scenario):
-        raise wrong_type("scenario", "a Scenario (see hs.load_scenario)", scenario)
+    require_scenario(scenario)
     moves = _displacements(pose, (...,))
     scene = scene_of(scenario)
     poses = scene.home.moved(moves)
@@ -115,8 +113,7 @@ def reachable(scenario: Scenario, pose: ArrayLike) -> Reachability:
     ValueError
         For a pose that is not six finite numbers within 1e6.
     """
-    if not isinstance(scenario, Scenario):
-        raise wrong_type("scenario", "a Scenario (see hs.load_scenario)", scenario)
+    require_scenario(scenario)
     wanted = _displacements(pose, ())
     scene = scene_of(scenario)
     there = scene.home.moved(wanted)

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 from hexservo.report.html import TITLE
 from hexservo.run.files import check_file, write_file
-from hexservo.scenario.wording import wrong_type
 
 if TYPE_CHECKING:
     from hexservo.run.result import Result
@@ -41,10 +40,9 @@ def write_report(result: Result, path: str | os.PathLike[str], *, force: bool = 
         The file exists, is not a report, or cannot be written.
     """
     from hexservo.report.page import page
-    from hexservo.run.result import Result
+    from hexservo.run.result import require_result
 
-    if not isinstance(result, Result):
-        raise wrong_type("result", "a Result (see hs.simulate)", result)
+    require_result(result)
     check_report(path, force=force)  # before the work
     write_file(page(result), path, TITLE, _AUTHOR, force=force)
 

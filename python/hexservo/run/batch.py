@@ -25,7 +25,7 @@ from hexservo.run.variations import checked_variations, columns_of, fitted_varia
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.leg_units import unit_of
 from hexservo.scenario.parameters import core_parameters
-from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.scenario import Scenario, require_scenario
 from hexservo.scenario.version import VERSION
 from hexservo.scenario.wording import whole_number, wrong_type
 
@@ -238,8 +238,7 @@ def simulate_batch(
     VariantError
         Where the environment variable HEXSERVO_VARIANT asks for a variant that is not there.
     """
-    if not isinstance(scenario, Scenario):
-        raise wrong_type("scenario", "a Scenario (see hs.load_scenario)", scenario)
+    require_scenario(scenario)
     if log not in tuple(_LOGS):  # a tuple: what was given may have no hash
         raise ValueError(f"log: expected one of {', '.join(_LOGS)}, got {log!r}")
     asked = asked_metrics(metrics)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from hexservo import _core
 from hexservo.scenario.arrays import Array, real_numbers
 from hexservo.scenario.parameters import Settings, core_parameters
-from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.scenario import Scenario, require_scenario
 from hexservo.scenario.wording import wrong_type
 
 __all__ = ["Controller", "ControllerOutput"]
@@ -74,8 +74,7 @@ class Controller:
     """
 
     def __init__(self, scenario: Scenario, period: float | None = None) -> None:
-        if not isinstance(scenario, Scenario):
-            raise wrong_type("scenario", "a Scenario (see hs.load_scenario)", scenario)
+        require_scenario(scenario)
         self._scenario = scenario
         self._core = _core.Controller(*controller_arguments(scenario, period))
         self._next = 0.0

@@ -13,6 +13,7 @@ from hexservo import _core
 from hexservo.run.controller import controller_arguments
 from hexservo.run.files import write_file
 from hexservo.scenario.block import SAMPLED_MODE
+from hexservo.scenario.keys import value_at
 from hexservo.scenario.leg_units import unit_of
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.version import VERSION
@@ -37,20 +38,19 @@ def robot_notes(scenario: Scenario) -> list[str]:
     A simulated camera is never unplugged, and its errors are wanted: on a robot a missing ``camera.timeout`` means that
     the last image is used for ever, and the errors of ``uncertainty`` that are the controller's spoil its estimates.
     """
-    settings, _ = controller_arguments(scenario, None)
     notes = []
-    sampled = settings["simulation.mode"] == SAMPLED_MODE
+    sampled = scenario.simulation.mode == SAMPLED_MODE
     if not sampled:
         notes.append(
             "the last image is used for ever if no other comes, since a scenario in continuous mode has no timeout: "
             "set simulation.mode=sampled and camera.timeout for a robot"
         )
-    elif settings["camera.timeout"] is None:
+    elif scenario.camera.timeout is None:
         notes.append("the last image is used for ever if no other comes: set camera.timeout for a robot")
     wrong = [
         key
         for key in (f"uncertainty.{name}" for name in _ASSUMED)
-        if np.any(np.asarray(settings[key], float) != 0.0) and (sampled or key != "uncertainty.latency")
+        if np.any(np.asarray(value_at(scenario, key), float) != 0.0) and (sampled or key != "uncertainty.latency")
     ]
     if wrong:
         notes.append(

@@ -15,6 +15,7 @@ from hexservo.scenario.arrays import Array
 from hexservo.scenario.leg_units import unit_of
 from hexservo.scenario.pixels import desired_features, to_pixels
 from hexservo.scenario.version import VERSION
+from hexservo.scenario.wording import wrong_type
 
 if TYPE_CHECKING:
     import pandas
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from hexservo.scenario.blocks import Robot
     from hexservo.scenario.scenario import Scenario
 
-__all__ = ["LimitEvent", "LimitKind", "Outcome", "Result"]
+__all__ = ["LimitEvent", "LimitKind", "Outcome", "Result", "require_result"]
 
 Outcome: TypeAlias = Literal[
     "completed",
@@ -255,3 +256,15 @@ class Result:
             }
         )
         return dataset
+
+
+def require_result(result: object) -> None:
+    """Refuse an argument that is no result of a run.
+
+    Raises
+    ------
+    TypeError
+        "result: expected a Result (see hs.simulate), got str".
+    """
+    if not isinstance(result, Result):
+        raise wrong_type("result", "a Result (see hs.simulate)", result)

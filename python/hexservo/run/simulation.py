@@ -10,7 +10,7 @@ from hexservo.run.metrics import METRICS
 from hexservo.run.result import LimitEvent, LimitKind, Outcome, Result
 from hexservo.run.variant import chosen_kernel
 from hexservo.scenario.parameters import core_parameters
-from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.scenario import Scenario, require_scenario
 from hexservo.scenario.wording import wrong_type
 
 __all__ = ["simulate"]
@@ -48,8 +48,7 @@ def simulate(scenario: Scenario, *, controller: OwnController | None = None, log
     VariantError
         Where the environment variable HEXSERVO_VARIANT asks for a compiled variant that is not there.
     """
-    if not isinstance(scenario, Scenario):
-        raise wrong_type("scenario", "a Scenario (see hs.load_scenario)", scenario)
+    require_scenario(scenario)
     if controller is None:
         run = _core.simulate(core_parameters(scenario), chosen_kernel(), log_weights)
     elif callable(controller):

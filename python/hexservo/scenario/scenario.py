@@ -30,7 +30,7 @@ from hexservo.scenario.tag import require_counts_elsewhere
 from hexservo.scenario.wording import wrong_type
 from hexservo.scenario.yaml import ScenarioError, dump_yaml, load_yaml, read_yaml
 
-__all__ = ["Document", "Scenario", "load_scenario", "read_document", "scenario_names"]
+__all__ = ["Document", "Scenario", "load_scenario", "read_document", "require_scenario", "scenario_names"]
 
 
 class Scenario(Blocks):
@@ -175,6 +175,18 @@ def scenario_names() -> tuple[str, ...]:
     """Return the names of the packaged scenarios, in alphabetical order."""
     folder = resources.files("hexservo") / "scenarios"
     return tuple(sorted(item.name[:-5] for item in folder.iterdir() if item.name.endswith(".yaml")))
+
+
+def require_scenario(scenario: object) -> None:
+    """Refuse an argument that is no scenario, such as its name.
+
+    Raises
+    ------
+    TypeError
+        "scenario: expected a Scenario (see hs.load_scenario), got str".
+    """
+    if not isinstance(scenario, Scenario):
+        raise wrong_type("scenario", "a Scenario (see hs.load_scenario)", scenario)
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,7 @@ from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Section, as_data
 from hexservo.scenario.motion import moves
 from hexservo.scenario.pixels import WRONG_CAMERA, has_camera_wrong
-from hexservo.scenario.scenario import Scenario
-from hexservo.scenario.wording import wrong_type
+from hexservo.scenario.scenario import Scenario, require_scenario
 
 __all__ = ["PARTS", "Analysis", "NotComputed", "analyse"]
 
@@ -116,8 +115,7 @@ def analyse(
     ValueError
         For parts that there are not.
     """
-    if not isinstance(scenario, Scenario):
-        raise wrong_type("scenario", "a Scenario (see hs.load_scenario)", scenario)
+    require_scenario(scenario)
     if isinstance(parts, str):
         raise ValueError(f"parts: expected a list of names, got the text {parts!r}; write [{parts!r}]")
     asked = list(PARTS) if parts is None else list(parts)

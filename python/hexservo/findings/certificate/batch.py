@@ -20,8 +20,7 @@ from hexservo.run.progress import reporting
 from hexservo.run.variations import checked_variations, known_key, plain_row
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.laws import THEOREM_LAW
-from hexservo.scenario.scenario import Scenario
-from hexservo.scenario.wording import wrong_type
+from hexservo.scenario.scenario import Scenario, require_scenario
 
 __all__ = ["BatchCertificate", "certify_batch"]
 
@@ -105,8 +104,7 @@ def certify_batch(
         For another law or mode, of which the theorem does not speak, as `simulate_batch` for the variations, and for a
         varied scenario with a centre of mass off the platform's origin or an unknown payload, which has no certificate.
     """
-    if not isinstance(scenario, Scenario):
-        raise wrong_type("scenario", "a Scenario (see hs.load_scenario)", scenario)
+    require_scenario(scenario)
     if scenario.controller.law != THEOREM_LAW:
         raise ValueError(
             f"controller.law: expected {THEOREM_LAW}, of which the theorem is, got {scenario.controller.law}"

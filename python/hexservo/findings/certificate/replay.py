@@ -8,12 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hexservo import _core
-from hexservo.run.result import Result
+from hexservo.run.result import Result, require_result
 from hexservo.run.simulation import simulate
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.parameters import Settings, core_parameters
 from hexservo.scenario.scenario import Scenario
-from hexservo.scenario.wording import wrong_type
 
 __all__ = ["Plant", "Replay", "every_step", "product", "replay", "replay_of", "sgn_breaks"]
 
@@ -90,8 +89,7 @@ def replay(result: Result) -> Replay:
         For a result of a custom controller whose steps are not all logged; for a log that does not fit into the
         core's limit of 2 GiB.
     """
-    if not isinstance(result, Result):
-        raise wrong_type("result", "a Result (see hs.simulate)", result)
+    require_result(result)
     scenario = result.scenario
     own = not result.by_law
     if own and scenario.simulation.log_every != 1:

@@ -10,9 +10,8 @@ from hexservo.findings.diagnosis.model import Case, Removal
 from hexservo.findings.diagnosis.ranking import Trial, judged, make_cases, pairs, rank, study
 from hexservo.findings.diagnosis.runs import Run, record_of, run_all
 from hexservo.findings.diagnosis.words import criteria_met, how, misses, warnings_of
-from hexservo.run.result import Result
+from hexservo.run.result import Result, require_result
 from hexservo.scenario.leg_units import leg_units
-from hexservo.scenario.wording import wrong_type
 
 __all__ = ["Diagnosis", "Finding", "Remedy", "diagnose"]
 
@@ -42,8 +41,7 @@ def diagnose(result: Result) -> Diagnosis:
     TypeError
         For anything but a `Result`.
     """
-    if not isinstance(result, Result):
-        raise wrong_type("result", "a Result (see hs.simulate)", result)
+    require_result(result)
     if result.outcome == "interrupted":
         return Diagnosis(result, None, ())
     record = record_of(result)
