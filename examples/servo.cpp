@@ -42,7 +42,9 @@ class Robot {
   hexservo::ControllerInputOf<N> read_sensors(long tick) {
     hexservo::ControllerInputOf<N> input;
     input.now = static_cast<double>(tick) * gains_.period;  // on a robot its clock, since periods may be dropped
-    camera_.expose(tick, hexservo::measured_image(image(), depth_error_));
+    hexservo::Image<double, N> seen = hexservo::measured_image(image(), depth_error_);
+    seen.features = gains_.lens.pixels(seen.features);  // a frame holds pixels of the camera
+    camera_.expose(tick, seen);
     camera_.deliver(tick, frame_);
     input.frame = {frame_.exposure * gains_.period, frame_.image};
     if (gains_.pose_source == hexservo::PoseSource::encoders) {

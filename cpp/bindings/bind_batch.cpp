@@ -75,7 +75,9 @@ BatchResult run(const Settings& settings, const std::vector<std::pair<std::strin
   options.metrics = std::move(metrics);
   options.threads = threads;
   bool interrupted = false;
-  options.stop_requested = [&interrupted] { return interrupted || interrupt_requested(); };
+  options.stop_requested = [&interrupted, ctrl_c = interrupt_question()] {
+    return interrupted || (ctrl_c && ctrl_c());
+  };
   if (!progress.is_none())
     options.progress = [&progress, &interrupted](const BatchProgress& p) {
       const py::gil_scoped_acquire gil;

@@ -33,7 +33,7 @@ void bind_bench(py::module_& m) {
   m.def(
       "time_ticks",
       [](const Settings& settings, long long periods, double rate, bool realtime) {
-        return time_ticks(settings, {periods, rate, realtime, interrupt_requested});
+        return time_ticks(settings, {periods, rate, realtime, interrupt_question()});
       },
       py::arg("settings"), py::arg("periods"), py::arg("rate") = 0.0, py::arg("realtime") = false,
       py::call_guard<py::gil_scoped_release>(),

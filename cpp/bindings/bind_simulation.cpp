@@ -30,19 +30,24 @@ py::array_t<double> point_rows(const py::object& self) {
 
 }  // namespace
 
-bool interrupt_requested() {
+std::function<bool()> interrupt_question() {
   const py::gil_scoped_acquire gil;
-  if (PyErr_CheckSignals() == 0) return false;
-  if (PyErr_ExceptionMatches(PyExc_KeyboardInterrupt) == 0) throw py::error_already_set();
-  PyErr_Clear();
-  return true;
+  const auto threading = py::module_::import("threading");
+  if (!threading.attr("get_ident")().equal(threading.attr("main_thread")().attr("ident"))) return {};
+  return [] {
+    const py::gil_scoped_acquire gil;
+    if (PyErr_CheckSignals() == 0) return false;
+    if (PyErr_ExceptionMatches(PyExc_KeyboardInterrupt) == 0) throw py::error_already_set();
+    PyErr_Clear();
+    return true;
+  };
 }
 
 void bind_simulate(py::module_& m) {
   m.def(
       "simulate",
       [](const Settings& settings, const KernelHandle& kernel, bool log_weights) {
-        return simulate(settings, interrupt_requested, kernel.table(), log_weights);
+        return simulate(settings, interrupt_question(), kernel.table(), log_weights);
       },
       py::arg("settings"), py::arg("kernel"), py::arg("log_weights") = false, py::call_guard<py::gil_scoped_release>(),
       "Runs a scenario; ValueError for a bad one, a trajectory with its outcome otherwise. Ctrl-C ends it with "

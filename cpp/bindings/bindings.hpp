@@ -10,6 +10,7 @@
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
+#include <functional>
 #include <stdexcept>
 #include <string>
 #include <string_view>
@@ -32,8 +33,10 @@ void bind_kernel(py::module_& m);
 void bind_batch(py::module_& m);
 void bind_bench(py::module_& m);
 
-/// True where Ctrl-C was pressed; anything else that a signal handler raises goes on to the caller. Takes the GIL.
-bool interrupt_requested();
+/// What a run asks between steps: whether Ctrl-C was pressed. Anything else that a signal handler raises goes on to the
+/// caller. Empty in any thread but Python's main one, the only one that signals reach: another thread may still run
+/// when the interpreter ends, and must not ask for the GIL then. Takes the GIL, as its answer does.
+std::function<bool()> interrupt_question();
 
 inline py::str text(std::string_view view) { return {view.data(), view.size()}; }
 

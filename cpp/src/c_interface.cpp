@@ -3,8 +3,9 @@
 #include "check.hpp"
 #include "controller_output.hpp"
 #include "hexservo/scenario_keys.hpp"
-#include "run_loop.hpp"
-#include "trajectory_log.hpp"
+#include "hexservo/subnormals.hpp"
+#include "plant_in_steps.hpp"
+#include "run_in_steps.hpp"
 
 #include <charconv>
 #include <cstring>
@@ -207,95 +208,24 @@ T* made(Arguments&&... arguments) noexcept {
 
 }  // namespace
 
-/// A run of any law, step by step.
 struct hexservo_run {
-  explicit hexservo_run(const Settings& given)
-      : settings(given), log(settings.simulation, settings.target.count()), steps(step_count(settings.simulation)) {
-    request.count = 1;
-    request.points = settings.target.count();
-    request.steps = steps;
-    request.log_every = settings.simulation.log_every;
-    request.log_end = true;
-    request.answers = &log.answer();
-  }
-  virtual ~hexservo_run() = default;
-  hexservo_run(const hexservo_run&) = delete;
-  hexservo_run& operator=(const hexservo_run&) = delete;
-
-  /// Takes `count` steps at most, and answers.
-  /// @return whether it goes on
-  virtual bool advance(long long count) = 0;
-  virtual const Hexapod<double>& hexapod() const = 0;
-  virtual const CameraParameters<double>& camera() const = 0;
-  virtual void write_points(double* to) const = 0;
-  virtual void write_goal(double* to) const = 0;
-
-  Settings settings;  ///< a recorded base motion is shared with the loop
-  detail::TrajectoryLog log;
-  RunRequest request{};
-  long long steps;
+  std::unique_ptr<detail::RunInSteps> steps;
   std::optional<Trajectory> result;  ///< once it has ended
+
+  const RunAnswer& answer() const { return steps->answer(); }
+  int points() const { return steps->request.points; }
 };
 
 namespace {
 
-template <template <class, class, int> class Loop, class Law, int N>
-struct RunOf final : hexservo_run {
-  RunOf(const Settings& given, const LoopParameters<double, Law, N>& p)
-      : hexservo_run(given), parameters(p), loop(parameters), rows(request, loop.record(), loop.law_state()) {
-    detail::answer(loop.record(), loop.law_state(), taken, false, 0, request);
-  }
-
-  bool advance(long long count) override {
-    const FlushSubnormals flush;
-    const LoopRecord<double, N>& record = loop.record();
-    for (; count > 0 && loop.steps() < steps && record.running(); --count) {
-      loop.advance();
-      taken = static_cast<double>(loop.steps());
-      if (loop.steps() % request.log_every == 0) rows.add();
-    }
-    detail::answer(record, loop.law_state(), taken, false, 0, request);
-    if (loop.steps() < steps && record.running()) return true;
-    rows.end(0);
-    return false;
-  }
-
-  const Hexapod<double>& hexapod() const override { return parameters.hexapod; }
-  const CameraParameters<double>& camera() const override { return parameters.camera; }
-  void write_points(double* to) const override { std::copy_n(parameters.points_T.data(), 3 * parameters.points, to); }
-  void write_goal(double* to) const override {
-    std::copy_n(parameters.desired_features.data(), 2 * parameters.points, to);
-  }
-
-  LoopParameters<double, Law, N> parameters;
-  Loop<double, Law, N> loop;
-  detail::Log<double, typename Law::template State<double>, N> rows;
-  double taken = 0.0;
-};
-
-std::unique_ptr<hexservo_run> started(Settings settings) {
-  return with_loop(
-      settings,
-      [&]<class Law, int N>(std::type_identity<Law>, std::integral_constant<int, N>) -> std::unique_ptr<hexservo_run> {
-        // A recorded base motion lives as long as the settings that the run keeps.
-        const LoopParameters<double, Law, N> parameters = loop_parameters<Law, N>(settings);
-        const FlushSubnormals flush;
-        if (settings.simulation.mode == LoopMode::sampled)
-          return std::make_unique<RunOf<SampledLoop, Law, N>>(settings, parameters);
-        return std::make_unique<RunOf<ClosedLoop, Law, N>>(settings, parameters);
-      });
-}
-
 /// Turns the answer of a run that has ended into its result; without memory for words, into one without any.
 void finish(hexservo_run& run) noexcept {
   try {
-    run.result = run.log.finish(run.settings.simulation.step, run.hexapod());
+    run.result = run.steps->log.finish(run.steps->settings.simulation.step, run.steps->hexapod());
   } catch (...) {
-    run.result.emplace().outcome = outcome_of(static_cast<StopCause>(run.request.answers->cause));
+    run.result.emplace().outcome = outcome_of(static_cast<StopCause>(run.answer().cause));
   }
 }
-
-const RunAnswer& answer_of(const hexservo_run& run) { return *run.request.answers; }
 
 /// Where a quantity stands in the newest sample.
 const double* place_in(const double* sample, const double& time, hexservo_quantity quantity, int points) {
@@ -308,73 +238,9 @@ const double* place_in(const double* sample, const double& time, hexservo_quanti
 
 }  // namespace
 
-/// A plant of any number of points.
 struct hexservo_plant {
-  explicit hexservo_plant(const Settings& given) : settings(given), points(given.target.count()) {}
-  virtual ~hexservo_plant() = default;
-  hexservo_plant(const hexservo_plant&) = delete;
-  hexservo_plant& operator=(const hexservo_plant&) = delete;
-
-  virtual void sense(hexservo_input& input) const = 0;
-  virtual void command(const Vector6<double>& wrench) = 0;
-
-  Settings settings;  ///< a recorded motion is shared with the plant
-  int points;         ///< of the target
-  StopCause cause = StopCause::none;
-  std::array<double, kMostSampleNumbers> sample{};  ///< the newest good one
-  double time = 0.0;                                ///< of it [s]
+  std::unique_ptr<detail::PlantInSteps> steps;
 };
-
-namespace {
-
-template <int N>
-struct PlantOf final : hexservo_plant {
-  template <class Law>
-  PlantOf(const Settings& given, const LoopParameters<double, Law, N>& p)
-      : hexservo_plant(given), period(p.step), encoders(p.pose_source == PoseSource::encoders), plant(p) {
-    keep();
-  }
-
-  void sense(hexservo_input& input) const override {
-    const SensorInput<double, N>& sensed = plant.plant().sense();
-    hexservo_input_clear(&input);
-    input.now = plant.plant().time();
-    input.exposure = sensed.frame.exposure * period;
-    input.features = sensed.frame.image.features.data();
-    input.depth = sensed.frame.image.depth.data();
-    const Perceived<double, N>& seen = plant.observe();
-    const Pose<double>& pose = encoders ? seen.pose : sensed.pose;
-    put(pose.position, input.position);
-    put(pose.quaternion, input.quaternion);
-    put(encoders ? seen.twist : sensed.twist, input.twist);
-    if (!encoders) return;
-    put(sensed.joints.lengths, input.leg_lengths);
-    put(sensed.joints.rates, input.leg_rates);
-  }
-
-  void command(const Vector6<double>& wrench) override {
-    const FlushSubnormals flush;
-    plant.command(wrench);
-    if (plant.record().running()) plant.advance();
-    keep();
-  }
-
-  /// Takes over what the record has now.
-  void keep() {
-    double* next = sample.data();
-    detail::write_sample(plant.record().sample(), points, 0, [&](std::size_t quantity) {
-      return std::exchange(next, next + sample_width(quantity, points));
-    });
-    time = plant.record().sample_time();
-    cause = static_cast<StopCause>(plant.record().cause());
-  }
-
-  double period;
-  bool encoders;
-  CommandedPlant<double, N> plant;
-};
-
-}  // namespace
 
 /// Gains of any law and any number of points.
 struct hexservo_gains {
@@ -581,17 +447,14 @@ hexservo_status hexservo_scenario_validate(hexservo_scenario* scenario) {
 
 hexservo_status hexservo_run_create(hexservo_scenario* scenario, hexservo_run** run) {
   *run = nullptr;
-  return guarded(*scenario, [&] {
-    std::unique_ptr<hexservo_run> next = started(scenario->settings);
-    *run = next.release();
-  });
+  return guarded(*scenario, [&] { *run = new hexservo_run{detail::started(scenario->settings), {}}; });
 }
 
 void hexservo_run_destroy(hexservo_run* run) { delete run; }
 
 int64_t hexservo_run_advance(hexservo_run* run, int64_t steps) {
-  if (!run->result && !run->advance(steps < 0 ? run->steps : steps)) finish(*run);
-  return answer_of(*run).steps;
+  if (!run->result && !run->steps->advance(steps < 0 ? run->steps->request.steps : steps)) finish(*run);
+  return run->answer().steps;
 }
 
 hexservo_outcome hexservo_run_outcome(const hexservo_run* run) {
@@ -622,26 +485,26 @@ const char* hexservo_outcome_name(hexservo_outcome outcome) {
 
 const char* hexservo_run_detail(const hexservo_run* run) { return run->result ? run->result->detail.c_str() : ""; }
 
-double hexservo_run_time(const hexservo_run* run) { return answer_of(*run).end_time; }
+double hexservo_run_time(const hexservo_run* run) { return run->answer().end_time; }
 
-size_t hexservo_run_rows(const hexservo_run* run) { return static_cast<size_t>(answer_of(*run).rows); }
+size_t hexservo_run_rows(const hexservo_run* run) { return static_cast<size_t>(run->answer().rows); }
 
 size_t hexservo_run_width(const hexservo_run* run, hexservo_quantity quantity) {
   if (quantity == HEXSERVO_TIME) return 1;
   const auto index = static_cast<size_t>(quantity) - 1;
-  return index < kQuantities ? static_cast<size_t>(sample_width(index, run->settings.target.count())) : 0;
+  return index < kQuantities ? static_cast<size_t>(sample_width(index, run->points())) : 0;
 }
 
 const double* hexservo_run_samples(const hexservo_run* run, hexservo_quantity quantity) {
-  const RunAnswer& answer = answer_of(*run);
+  const RunAnswer& answer = run->answer();
   if (quantity == HEXSERVO_TIME) return answer.time;
   const auto index = static_cast<size_t>(quantity) - 1;
   return index < kQuantities ? answer.columns[index] : nullptr;
 }
 
 const double* hexservo_run_newest(const hexservo_run* run, hexservo_quantity quantity) {
-  const RunAnswer& answer = answer_of(*run);
-  return place_in(answer.sample, answer.end_time, quantity, run->settings.target.count());
+  const RunAnswer& answer = run->answer();
+  return place_in(answer.sample, answer.end_time, quantity, run->points());
 }
 
 size_t hexservo_metric_count(void) { return kMetricNumbers; }
@@ -653,11 +516,11 @@ const char* hexservo_metric_name(size_t index) {
   return found;
 }
 
-const double* hexservo_run_metrics(const hexservo_run* run) { return answer_of(*run).metrics; }
+const double* hexservo_run_metrics(const hexservo_run* run) { return run->answer().metrics; }
 
 void hexservo_run_scene(const hexservo_run* run, hexservo_scene* scene) {
-  const Hexapod<double>& hexapod = run->hexapod();
-  const PlatformCamera<double> mounted(run->camera());
+  const Hexapod<double>& hexapod = run->steps->hexapod();
+  const PlatformCamera<double> mounted(run->steps->camera());
   put(hexapod.base_joints_B.transpose(), scene->base_joints[0]);
   put(hexapod.platform_joints_E.transpose(), scene->platform_joints[0]);
   put(hexapod.home_position, scene->home_position);
@@ -668,9 +531,9 @@ void hexservo_run_scene(const hexservo_run* run, hexservo_scene* scene) {
   scene->camera_on_base = mounted.placement.on_base() ? 1 : 0;
 }
 
-void hexservo_run_target(const hexservo_run* run, double* points) { run->write_points(points); }
+void hexservo_run_target(const hexservo_run* run, double* points) { run->steps->write_points(points); }
 
-void hexservo_run_goal(const hexservo_run* run, double* features) { run->write_goal(features); }
+void hexservo_run_goal(const hexservo_run* run, double* features) { run->steps->write_goal(features); }
 
 // --- the controller's tick
 
@@ -755,43 +618,44 @@ void hexservo_tick(const hexservo_gains* gains, hexservo_state* state, const hex
 
 hexservo_status hexservo_plant_create(hexservo_scenario* scenario, hexservo_plant** plant) {
   *plant = nullptr;
-  return guarded(*scenario, [&] {
-    const Settings& settings = scenario->settings;
-    if (settings.simulation.mode != LoopMode::sampled)
-      refuse("simulation.mode", "sampled for a plant that is commanded", "continuous");
-    if (takes_positions(settings.actuators.kind))
-      refuse("actuators.kind", "force for a plant that is commanded, whose wrench acts on the platform",
-             "one that takes positions");
-    *plant = with_loop(
-        settings, [&]<class Law, int N>(std::type_identity<Law>, std::integral_constant<int, N>) -> hexservo_plant* {
-          const FlushSubnormals flush;
-          return new PlantOf<N>(settings, loop_parameters<Law, N>(settings));
-        });
-  });
+  return guarded(*scenario, [&] { *plant = new hexservo_plant{detail::commanded_plant(scenario->settings)}; });
 }
 
 void hexservo_plant_destroy(hexservo_plant* plant) { delete plant; }
 
-void hexservo_plant_sense(const hexservo_plant* plant, hexservo_input* input) { plant->sense(*input); }
+void hexservo_plant_sense(const hexservo_plant* plant, hexservo_input* input) {
+  const ControllerInputOf<kMostPoints>& sensed = plant->steps->sensed;
+  input->now = sensed.now;
+  input->exposure = sensed.frame.exposure;
+  input->features = sensed.frame.image.features.data();
+  input->depth = sensed.frame.image.depth.data();
+  put(sensed.pose.position, input->position);
+  put(sensed.pose.quaternion, input->quaternion);
+  put(sensed.twist, input->twist);
+  put(sensed.joints.lengths, input->leg_lengths);
+  put(sensed.joints.rates, input->leg_rates);
+}
 
 int hexservo_plant_command(hexservo_plant* plant, const double* wrench) {
-  if (plant->cause == StopCause::none) {
+  detail::PlantInSteps& steps = *plant->steps;
+  if (steps.cause == StopCause::none) {
     const Vector6<double> command = read<6>(wrench);
     if (command.allFinite())
-      plant->command(command);
+      steps.command(command);
     else
-      plant->cause = StopCause::not_finite;
+      steps.cause = StopCause::not_finite;
   }
-  return plant->cause == StopCause::none ? 1 : 0;
+  return steps.cause == StopCause::none ? 1 : 0;
 }
 
 hexservo_outcome hexservo_plant_outcome(const hexservo_plant* plant) {
-  if (plant->cause == StopCause::none) return HEXSERVO_RUNNING;
-  return static_cast<hexservo_outcome>(outcome_of(plant->cause));
+  if (plant->steps->cause == StopCause::none) return HEXSERVO_RUNNING;
+  return static_cast<hexservo_outcome>(outcome_of(plant->steps->cause));
 }
 
 const double* hexservo_plant_newest(const hexservo_plant* plant, hexservo_quantity quantity) {
-  return place_in(plant->sample.data(), plant->time, quantity, plant->points);
+  const detail::PlantInSteps& steps = *plant->steps;
+  return place_in(steps.sample.data(), steps.time, quantity, steps.points);
 }
 
 }  // extern "C"

@@ -33,7 +33,9 @@
 
 namespace {
 
-constexpr double kWhole = 1e-6;  // of a tick: a communication step may be so far from a whole number of them
+constexpr double kWhole = 1e-6;      // of a tick: a communication step may be so far from a whole number of them
+constexpr double kSameTime = 0.1;    // likewise: times that a caller has added up may be so far from those of the ticks
+constexpr double kMostTicks = 1e15;  // of a communication step
 
 enum class Role { time, parameter, input, output };
 enum class Type { real, whole, flag, text };
@@ -110,8 +112,10 @@ class Loop final : public Model {
   Loop(const Scenario& scenario, double start_time) : start_time_(start_time) {
     // No row of the log is read: it has its first and last ones alone.
     const double steps = number_of(scenario, "simulation.duration") / number_of(scenario, "simulation.step");
-    const double rows_apart = std::clamp(std::round(steps), 1.0, 1e9);
-    check(hexservo_scenario_set_number(scenario.get(), "simulation.log_every", rows_apart), scenario);
+    if (std::isfinite(steps)) {  // otherwise the run is refused for its own reason
+      const double rows_apart = std::clamp(std::round(steps), 1.0, 1e9);
+      check(hexservo_scenario_set_number(scenario.get(), "simulation.log_every", rows_apart), scenario);
+    }
     hexservo_run* run = nullptr;
     check(hexservo_run_create(scenario.get(), &run), scenario);
     run_.reset(run);
@@ -210,8 +214,11 @@ class Controller final : public Model {
     hexservo_gains* gains = nullptr;
     check(hexservo_gains_create(scenario.get(), 0.0, &gains), scenario);
     gains_.reset(gains);
-    state_.reset(hexservo_state_create(gains));
-    if (!state_) fail("no memory");
+    state_ = initial_state();
+    // Before the first tick the outputs are those of a tick without a frame, which leaves no trace.
+    const State trial = initial_state();
+    tick(trial, 0, false);
+    show();
   }
 
   Places places() const override {
@@ -221,28 +228,41 @@ class Controller final : public Model {
   }
 
   std::string advance(std::int64_t from, std::int64_t count) override {
-    for (std::int64_t tick = from; tick < from + count; ++tick) {
-      hexservo_input input;
-      hexservo_input_clear(&input);
-      input.now = start_time_ + static_cast<double>(tick) * hexservo_gains_period(gains_.get());
-      if (*exposure_ >= 0.0 && *exposure_ != last_) {  // a frame that has not been seen
-        input.exposure = last_ = *exposure_;
-        input.features = features_;
-        input.depth = depth_;
-      }
-      std::copy_n(position_, 3, input.position);
-      std::copy_n(quaternion_, 4, input.quaternion);
-      std::copy_n(twist_, 6, input.twist);
-      std::copy_n(leg_lengths_, 6, input.leg_lengths);
-      std::copy_n(leg_rates_, 6, input.leg_rates);
-      hexservo_tick(gains_.get(), state_.get(), &input, &output_);
-    }
-    status_ = static_cast<double>(output_.status);
-    saturated_ = static_cast<double>(output_.saturated);
+    for (std::int64_t place = from; place < from + count; ++place) tick(state_, place, true);
+    show();
     return {};
   }
 
  private:
+  State initial_state() const {
+    State state(hexservo_state_create(gains_.get()));
+    if (!state) fail("no memory");
+    return state;
+  }
+
+  /// @param looks whether a frame that has not been seen is one of this tick
+  void tick(const State& state, std::int64_t place, bool looks) {
+    hexservo_input input;
+    hexservo_input_clear(&input);
+    input.now = start_time_ + static_cast<double>(place) * hexservo_gains_period(gains_.get());
+    if (looks && *exposure_ >= 0.0 && *exposure_ != last_) {
+      input.exposure = last_ = *exposure_;
+      input.features = features_;
+      input.depth = depth_;
+    }
+    std::copy_n(position_, 3, input.position);
+    std::copy_n(quaternion_, 4, input.quaternion);
+    std::copy_n(twist_, 6, input.twist);
+    std::copy_n(leg_lengths_, 6, input.leg_lengths);
+    std::copy_n(leg_rates_, 6, input.leg_rates);
+    hexservo_tick(gains_.get(), state.get(), &input, &output_);
+  }
+
+  void show() {
+    status_ = static_cast<double>(output_.status);
+    saturated_ = static_cast<double>(output_.saturated);
+  }
+
   const double* of(const char* name) const { return inputs_.at(name).data(); }
 
   double start_time_;
@@ -262,7 +282,9 @@ class Unit {
  public:
   using Log = std::function<void(bool failed, const char* message)>;
 
-  Unit(const std::string& folder, const std::string& token, Log log) : log_(std::move(log)) {
+  /// @param may_return_early from a step within which the run ends
+  Unit(const std::string& folder, const std::string& token, Log log, bool may_return_early)
+      : log_(std::move(log)), may_return_early_(may_return_early) {
     const std::string path = folder + "/model.txt";
     std::ifstream file(path);
     if (!file) fail(path + ": expected the model of this unit, but the file cannot be read");
@@ -290,7 +312,8 @@ class Unit {
     model_.reset();
     scenario_.reset(hexservo_scenario_copy(initial_.get()));
     if (!scenario_) fail("no memory");
-    started_ = ended_ = false;
+    stage_ = Stage::made;
+    ended_ = false;
     ticks_ = 0;
     start_time_ = 0.0;
     for (const Variable& variable : variables_)
@@ -302,33 +325,41 @@ class Unit {
   }
 
   void set_start_time(double time) {
-    if (started_) fail("the unit is initialised already: expected a reset before another start time");
-    if (!(time >= 0.0)) fail("start time: expected 0 s or later, since exposures before 0 stand for no frame");
+    if (is_initialised()) fail("the unit is initialised already: expected a reset before another start time");
+    if (!(time >= 0.0 && std::isfinite(time)))
+      fail("start time: expected 0 s or later, since exposures before 0 stand for no frame");
     model_.reset();
     start_time_ = time;
   }
 
-  /// Parameters are fixed from here on.
-  void start() {
-    if (started_) fail("the unit is initialised already: expected a reset first");
-    prepare();
-    started_ = true;
+  void begin_initialisation() {
+    if (stage_ != Stage::made) fail("the unit is initialised already: expected a reset first");
+    stage_ = Stage::initialising;
   }
 
+  /// Parameters are fixed from here on.
+  void start() {
+    if (stage_ != Stage::initialising) fail("expected the beginning of an initialisation before its end");
+    prepare();
+    stage_ = Stage::stepping;
+  }
+
+  void terminate() { stage_ = Stage::terminated; }
+
   /// Goes on by a time, a whole number of ticks.
+  /// @param from where the caller is [s]
   /// @return whether it goes on after that
-  bool advance(double time) {
-    if (!started_) fail("expected the initialisation before a step");
+  bool advance(double from, double time) {
+    if (!is_initialised()) fail("expected the initialisation before a step");
+    if (stage_ == Stage::terminated) fail("the unit is terminated: expected a reset before another step");
     if (ended_) fail("the run has ended: expected no further step");
+    if (!(std::abs(from - this->time()) <= kSameTime * period_))
+      fail(with_numbers("communication point: expected that of the unit, %.17g s, got %.17g s", this->time(), from));
     const double ticks = time / period_;
     const double whole = std::round(ticks);
-    if (!(whole >= 1.0 && std::abs(ticks - whole) <= kWhole)) {
-      char text[160];
-      std::snprintf(text, sizeof text,
-                    "communication step: expected a whole number of simulation.step, %.17g s each, got %.17g s",
-                    period_, time);
-      fail(text);
-    }
+    if (!(whole >= 1.0 && whole <= kMostTicks && std::abs(ticks - whole) <= kWhole))
+      fail(with_numbers("communication step: expected a whole number of simulation.step, %.17g s each, got %.17g s",
+                        period_, time));
     const auto count = static_cast<std::int64_t>(whole);
     const std::string end = model_->advance(ticks_, count);
     ticks_ += count;
@@ -341,6 +372,7 @@ class Unit {
   }
 
   bool ended() const noexcept { return ended_; }
+  bool may_return_early() const noexcept { return may_return_early_; }
   double time() const noexcept { return start_time_ + static_cast<double>(ticks_) * period_; }
 
   double number(unsigned reference, Type type) {
@@ -440,7 +472,15 @@ class Unit {
 
   void require_free(const Variable& variable) const {
     if (variable.role != Role::parameter) fail(variable.name + ": expected a parameter or an input to set");
-    if (started_) fail(variable.name + ": expected before the end of the initialisation, for it is fixed");
+    if (is_initialised()) fail(variable.name + ": expected before the end of the initialisation, for it is fixed");
+  }
+
+  bool is_initialised() const noexcept { return stage_ == Stage::stepping || stage_ == Stage::terminated; }
+
+  static std::string with_numbers(const char* format, double first, double second) {
+    char text[200];
+    std::snprintf(text, sizeof text, format, first, second);
+    return text;
   }
 
   std::vector<double> parameter(const Variable& variable) const {
@@ -453,13 +493,15 @@ class Unit {
   }
 
   Log log_;
+  bool may_return_early_;
   std::string what_;
   std::vector<Variable> variables_;
   Scenario initial_, scenario_;
   Inputs inputs_;
   std::unique_ptr<Model> model_;
   std::map<std::string, std::string> texts_;
-  bool started_ = false, ended_ = false;
+  enum class Stage { made, initialising, stepping, terminated } stage_ = Stage::made;
+  bool ended_ = false;
   double period_ = 0.0, start_time_ = 0.0;
   std::int64_t ticks_ = 0;
 };
@@ -536,9 +578,9 @@ std::string path_of(const char* uri) {
 }
 
 /// Null with a message where it cannot be made.
-void* made(const std::string& folder, const char* token, const Unit::Log& log) noexcept {
+void* made(const std::string& folder, const char* token, const Unit::Log& log, bool may_return_early) noexcept {
   try {
-    return new Unit(folder, token == nullptr ? "" : token, log);
+    return new Unit(folder, token == nullptr ? "" : token, log, may_return_early);
   } catch (const std::exception& caught) {
     if (log) log(true, caught.what());
     return nullptr;
@@ -585,7 +627,7 @@ FMI void* fmi2Instantiate(const char* name, int type, const char* guid, const ch
     if (log) log(true, "expected co-simulation, which is all that this unit has");
     return nullptr;
   }
-  return made(path_of(resources), guid, log);
+  return made(path_of(resources), guid, log, false);
 } catch (...) {
   return nullptr;
 }
@@ -595,13 +637,13 @@ FMI int fmi2SetupExperiment(void* instance, int, double, double start, int, doub
   return guarded(instance, [&](Unit& unit) { unit.set_start_time(start); });
 }
 FMI int fmi2EnterInitializationMode(void* instance) {
-  return guarded(instance, [](Unit&) {});
+  return guarded(instance, [](Unit& unit) { unit.begin_initialisation(); });
 }
 FMI int fmi2ExitInitializationMode(void* instance) {
   return guarded(instance, [](Unit& unit) { unit.start(); });
 }
 FMI int fmi2Terminate(void* instance) {
-  return guarded(instance, [](Unit&) {});
+  return guarded(instance, [](Unit& unit) { unit.terminate(); });
 }
 FMI int fmi2Reset(void* instance) {
   return guarded(instance, [](Unit& unit) { unit.reset(); });
@@ -621,8 +663,8 @@ FMI int fmi2SetString(void* c, const Reference* r, std::size_t n, const char* co
 }
 
 // A run that fails on the way is no error of the unit: "discard", and the status fmi2Terminated is true.
-FMI int fmi2DoStep(void* instance, double, double step, int) {
-  return guarded(instance, [&](Unit& unit) { return unit.advance(step) ? ok : discard; });
+FMI int fmi2DoStep(void* instance, double point, double step, int) {
+  return guarded(instance, [&](Unit& unit) { return unit.advance(point, step) ? ok : discard; });
 }
 FMI int fmi2GetRealStatus(void* instance, int kind, double* value) {
   return guarded(instance, [&](Unit& unit) {
@@ -656,15 +698,16 @@ NOT_THERE(fmi2GetStringStatus)
 FMI const char* fmi3GetVersion() { return "3.0"; }
 FMI int fmi3SetDebugLogging(void*, bool, std::size_t, const char* const*) { return ok; }
 
-FMI void* fmi3InstantiateCoSimulation(const char*, const char* token, const char* resources, bool, bool, bool, bool,
-                                      const Reference*, std::size_t, void* environment, Fmi3Log logger, void*) {
+FMI void* fmi3InstantiateCoSimulation(const char*, const char* token, const char* resources, bool, bool, bool,
+                                      bool early, const Reference*, std::size_t, void* environment, Fmi3Log logger,
+                                      void*) {
   Unit::Log log;
   if (logger != nullptr)
     log = [logger, environment](bool failed, const char* message) {
       logger(environment, failed ? error : warning, failed ? "logStatusError" : "logStatusWarning", message);
     };
   try {
-    return made(resources == nullptr ? "" : resources, token, log);
+    return made(resources == nullptr ? "" : resources, token, log, early);
   } catch (...) {
     return nullptr;
   }
@@ -679,13 +722,16 @@ FMI void* fmi3InstantiateScheduledExecution(const char*, const char*, const char
 FMI void fmi3FreeInstance(void* instance) { delete static_cast<Unit*>(instance); }
 
 FMI int fmi3EnterInitializationMode(void* instance, bool, double, double start, bool, double) {
-  return guarded(instance, [&](Unit& unit) { unit.set_start_time(start); });
+  return guarded(instance, [&](Unit& unit) {
+    unit.set_start_time(start);
+    unit.begin_initialisation();
+  });
 }
 FMI int fmi3ExitInitializationMode(void* instance) {
   return guarded(instance, [](Unit& unit) { unit.start(); });
 }
 FMI int fmi3Terminate(void* instance) {
-  return guarded(instance, [](Unit&) {});
+  return guarded(instance, [](Unit& unit) { unit.terminate(); });
 }
 FMI int fmi3Reset(void* instance) {
   return guarded(instance, [](Unit& unit) { unit.reset(); });
@@ -718,12 +764,15 @@ FMI int fmi3SetString(void* c, const Reference* r, std::size_t n, const char* co
   return set_texts(c, r, n, v);
 }
 
-FMI int fmi3DoStep(void* instance, double, double step, bool, bool* event, bool* terminate, bool* early, double* last) {
+FMI int fmi3DoStep(void* instance, double point, double step, bool, bool* event, bool* terminate, bool* early,
+                   double* last) {
   return guarded(instance, [&](Unit& unit) {
     *event = *terminate = *early = false;
     *last = unit.time();
-    *terminate = !unit.advance(step);
+    const double end = *last + step;
+    *terminate = !unit.advance(point, step);
     *last = unit.time();
+    *early = unit.may_return_early() && unit.ended() && *last < end;
   });
 }
 

@@ -53,6 +53,20 @@ TEST_CASE("a pixel of every feature that the lens shows is brought back, with a 
     }
 }
 
+TEST_CASE("a lens that grows ever steeper brings back every pixel of its image") {
+  // A pincushion of 0.7 % at the corner, and one of 1.2 %: far beyond the image both are steeper by powers of ten.
+  for (const auto& [k1, k2, k3] : {std::array{0.05, 0.0, 1.0}, std::array{0.1, -0.5, 5.0}}) {
+    Camera camera;
+    camera.focal_pixels = Vector2<double>(2400.0, 2400.0);
+    camera.principal_point = Vector2<double>(640.0, 480.0);
+    camera.distortion.brown_conrady = (Vector<double, 5>() << k1, k2, 0.0, 0.0, k3).finished();
+    const Lens<double> lens(camera.lens());
+    for (double u = -0.5; u < 1280.0; u += 40.0)
+      for (double v = -0.5; v < 960.0; v += 40.0)
+        CHECK(distance(lens.pixel(lens.feature({u, v})), Vector2<double>(u, v)) <= 1e-9);
+  }
+}
+
 TEST_CASE("the derivative of the distortion, by central differences") {
   Random random(15202);
   CAPTURE(random.seed());

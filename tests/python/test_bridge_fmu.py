@@ -498,6 +498,71 @@ def test_steps_that_are_no_whole_number_of_ticks_are_refused(make: Any) -> None:
         unit.step(0.0015)
 
 
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_calls_out_of_turn_and_at_another_time_are_refused(make: Any, fmi: int) -> None:
+    made = make(hs.load_scenario("paper").updated(SHORT), fmi)
+
+    def refused(unit: Unit, call: Any) -> None:
+        with pytest.raises(Exception, match="fmi"):
+            call(unit)
+
+    unit = made.instance()
+    refused(unit, lambda unit: unit.fmu.exitInitializationMode())  # which has not begun
+    unit = made.instance()
+    unit.start()
+    assert unit.step(0.01)
+    unit.time = 0.0
+    refused(unit, lambda unit: unit.step(0.01))  # the unit is at 0.01 s
+    unit.time = 0.01
+    refused(unit, lambda unit: unit.step(1e16))  # more ticks than there are numbers for
+    assert unit.get("time") == 0.01
+    assert unit.step(0.01)
+    unit.fmu.terminate()
+    refused(unit, lambda unit: unit.step(0.01))
+    unit.fmu.reset()
+    unit.start()
+    assert unit.step(0.01)
+
+
+def test_a_step_within_which_the_run_ends_returns_early(make: Any) -> None:
+    """FMI 3.0: at the last good sample, where the importing tool allows it."""
+    scenario = hs.load_scenario("paper").updated({"controller.hybrid.kp": 1.0})
+    made, run = make(scenario, 3), hs.simulate(scenario)
+    for allowed in (False, True):
+        unit = Unit(made.folder, made.description)
+        unit.fmu.freeInstance()
+        unit.fmu.instantiate(earlyReturnAllowed=allowed)
+        unit.start()
+        _, terminates, early, last = unit.fmu.doStep(currentCommunicationPoint=0.0, communicationStepSize=0.5)
+        assert terminates
+        assert early == allowed
+        assert last == pytest.approx(run.end_time, rel=1e-12)
+
+
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_before_its_first_tick_a_controller_holds_the_machine(make: Any, fmi: int) -> None:
+    """As at a tick without a frame: of zeros a drive would go to no length, and no force would hold the weight."""
+    scenario = hs.load_scenario("pi-h824-positions").updated({"camera.latency_known": False})
+    unit = make(scenario, fmi, "controller").instance()
+    unit.start()
+    names = {"wrench": 6, "leg_forces": 6, "leg_positions": 6, "latency": 3}
+    first = {name: unit.get(name, count) for name, count in names.items()}
+    assert unit.get("status") == 2  # no image
+    assert abs(first["wrench"]).max() > 1.0
+    np.testing.assert_array_equal(first["leg_positions"], unit.get("leg_lengths", 6))
+    assert first["latency"][2] == 0.25
+    assert unit.step(scenario.simulation.step)
+    for name, count in names.items():
+        np.testing.assert_array_equal(unit.get(name, count), first[name])
+
+
+def test_a_refused_duration_is_named(make: Any) -> None:
+    unit = make(hs.load_scenario("paper").updated(SHORT), 2).instance()
+    unit.set("simulation.duration", 1.0)
+    with pytest.raises(Exception, match="fmi2"):
+        unit.start(**{"simulation.duration": float("nan")})
+
+
 def test_units_of_equal_scenarios_are_equal() -> None:
     paper = hs.load_scenario("paper")
     assert hs.bridges.fmu(paper) == hs.bridges.fmu(paper)

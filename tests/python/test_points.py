@@ -108,6 +108,28 @@ def test_a_point_that_does_not_count_is_none_and_two_halves_are_one(paper: hs.Sc
         np.testing.assert_allclose(run.feature_error[:, :8], alone.feature_error, rtol=0, atol=1e-3)
 
 
+@pytest.mark.parametrize("changes", [{}, {"camera.on_lost": "stop"}, {"camera.prediction": "encoder"}])
+def test_a_controller_does_not_wait_for_a_point_that_does_not_count(
+    paper: hs.Scenario, changes: dict[str, Any]
+) -> None:
+    mode = {"simulation.mode": "sampled", "simulation.duration": 0.06, "metrics.rms_start": 0.0}
+    weights = {"target.weights": [1, 1, 1, 1, 0]}
+    scenario = with_points(paper, [*scattered(4), [0.03, -0.01, -0.6]], **mode, **weights, **changes)
+    run = hs.simulate(scenario)
+    seen, wrenches = run.features[0], []
+    for features in (seen, np.where(np.arange(10) < 8, seen, np.nan)):
+        out = hs.Controller(scenario).step(features, run.depth[0], run.position[0], run.quaternion[0], run.twist[0])
+        assert out.status == "valid"
+        wrenches.append(out.wrench)
+    np.testing.assert_array_equal(*wrenches)
+    without = np.where(np.arange(10) // 2 == 1, np.nan, seen)
+    assert (
+        hs.Controller(scenario)
+        .step(without, run.depth[0], run.position[0], run.quaternion[0], run.twist[0])
+        .invalid_input
+    )
+
+
 @pytest.mark.parametrize("law", LAWS)
 def test_weights_permuted_with_their_points_permute_the_result(paper: hs.Scenario, law: str) -> None:
     points, weights, order = scattered(6), np.array([0.2, 1.0, 3.0, 0.0, 0.7, 1.4]), np.array([3, 0, 5, 1, 4, 2])

@@ -367,6 +367,15 @@ def test_the_example_compiles_with_any_header(
     assert run.stderr == ""
 
 
+def test_the_example_settles_with_a_lens(tmp_path: Path, library: Path) -> None:
+    """Its frames hold pixels of the camera, which has a principal point and distorts."""
+    text = gains_header(hs.load_scenario("eye-to-hand"))
+    example = (ROOT / "examples" / "servo.cpp").read_text(encoding="utf-8")
+    program = compiled(tmp_path, library, example, ("gains.hpp", text))
+    run = subprocess.run([program, "1.2"], capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stdout
+
+
 def test_what_was_lost_on_the_way_to_a_robot() -> None:
     """Timeout, prediction and the wait of the weights act in the tick as in the simulation."""
     late = hs.load_scenario("paper").updated(

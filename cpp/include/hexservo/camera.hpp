@@ -312,6 +312,10 @@ class PointWeights {
     for (int k = 0; k < 2 * N; ++k) result = max(result, select(weights_(k) > S(0.0), S(abs(image(k))), S(0.0)));
     return result;
   }
+  /// A number of a point that counts, otherwise another one.
+  S where_counted(int i, const S& number, const S& otherwise) const {
+    return select(weight_(i) > S(0.0), number, otherwise);
+  }
   /// 1/(2 n - 6) for the n points that count: over the degrees of freedom that a pose leaves; at least one.
   const S& per_freedom() const { return per_freedom_; }
 
@@ -353,6 +357,7 @@ class PointWeights<S, kPoints> {
   }
   S share(int /*i*/) const { return S(1.0 / N); }
   S largest(const Vector<S, 2 * N>& image) const { return largest_abs<S, 2 * N, 1>(image); }
+  const S& where_counted(int /*i*/, const S& number, const S& /*otherwise*/) const { return number; }
   S per_freedom() const { return S(1.0 / (2 * N - 6)); }
 };
 

@@ -162,12 +162,13 @@ class Lens {
   }
 
  private:
-  /// Where the distorted radius first grows fastest, on the ray of a pixel: from its inflection Newton's method is
-  /// monotonic.
+  /// On the ray of a pixel, where the distorted radius first grows fastest: from its inflection Newton's method is
+  /// monotonic. Up to there it grows at least as fast as the radius, so that a pixel nearer than that is as well
+  /// reached from its own radius, in fewer rounds.
   Vector2<S> start(const Vector2<S>& target) const noexcept {
     using std::sqrt;
     const S x = target(0), y = target(1), s = x * x + y * y;
-    return target * select(s > S(0.0), S(p_.steepest / sqrt(s)), S(0.0));
+    return target * select(s > S(0.0), min(S(p_.steepest / sqrt(s)), S(1.0)), S(0.0));
   }
 
   /// Brings n back to the rim of what the lens shows: beyond it the derivative is that of the fold.

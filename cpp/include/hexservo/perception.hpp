@@ -45,8 +45,9 @@ struct Sensing {
   FrameSettings<S> frames;
   PoseSource pose_source;
   EncoderParameters<S> encoders;
-  double period;   ///< T_c, time between two ticks [s]
-  int points = N;  ///< of the target; what a frame shows in the places beyond them is not looked at
+  double period;                    ///< T_c, time between two ticks [s]
+  int points = N;                   ///< of the target; what a frame shows in the places beyond them is not looked at
+  PointWeights<S, N> weights = {};  ///< of the points: one that counts 0 need not be seen
 };
 
 /// How far a time may be off a tick, or an age off its limit, and still be at it: rounding [ticks].
@@ -292,10 +293,10 @@ class Perception {
     receive(sensing, input);
     show(sensing);
 
-    S oldest = seen_at_(0), lost = lost_(0);
-    for (int i = 1; i < N; ++i) {
-      oldest = min(oldest, seen_at_(i));
-      lost += lost_(i);
+    S oldest(std::numeric_limits<double>::infinity()), lost(0.0);
+    for (int i = 0; i < N; ++i) {
+      oldest = min(oldest, sensing.weights.where_counted(i, seen_at_(i), oldest));
+      lost += sensing.weights.where_counted(i, lost_(i), S(0.0));
     }
     now_.complete = oldest > S(-std::numeric_limits<double>::infinity());
     now_.fresh = S(input.now) - oldest <= sensing.frames.timeout + S(kTickTolerance);
@@ -465,12 +466,12 @@ class Perception {
     const bool predicting = sensing.frames.prediction == Prediction::encoder;
     const Image<S, N> projected = take_image<S, N>(sensing.camera, now_.pose.position, now_.R_BE, points_T_);
     for (int i = 0; i < N; ++i) {
-      const Mask<S> lost = lost_(i) > S(0.5);
-      const Mask<S> again = predicting ? (!lost) | Mask<S>(sensing.frames.on_lost != LostFeature::hold) : lost;
+      const Mask<S> lost = lost_(i) > S(0.5), never = seen_at_(i) == S(-std::numeric_limits<double>::infinity());
+      const Mask<S> again =
+          (!never) & (predicting ? (!lost) | Mask<S>(sensing.frames.on_lost != LostFeature::hold) : lost);
       for (int k = 2 * i; k < 2 * i + 2; ++k)
         now_.image.features(k) = select(again, projected.features(k), held_.features(k));
       now_.image.depth(i) = select(again, projected.depth(i), held_.depth(i));
-      const Mask<S> never = seen_at_(i) == S(-std::numeric_limits<double>::infinity());
       now_.usable = now_.usable & (never | usable(sensing, i, now_.image.features(2 * i),
                                                   now_.image.features(2 * i + 1), now_.image.depth(i)));
     }

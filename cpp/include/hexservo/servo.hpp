@@ -65,7 +65,7 @@ MotionGains<S> motion_gains(const LoopParameters<S, Law, N>& p) {
 template <class S, int N>
 SafetyGains<S, N> safety_gains(const SceneParameters<S, N>& p, const MotionGains<S>& motion) {
   return {{p.hexapod, LegGeometry<S>(p.hexapod), p.assumed_camera, Lens<S>(p.assumed_lens), p.assumed_desired, p.frames,
-           p.pose_source, p.encoders, p.step, p.points},
+           p.pose_source, p.encoders, p.step, p.points, PointWeights<S, N>(p.weights)},
           p.body,
           p.safe,
           p.actuators.saturation ? p.hexapod.force_limit : S(std::numeric_limits<double>::infinity()),

@@ -351,6 +351,8 @@ def _report(result: hs.Result, elapsed: float, folder: str | None, *, hint: bool
     """Print the outcome of a run, its metrics, the exceeded limits, and the place of its files."""
     from rich.text import Text
 
+    from hexservo.run.leg_motion import singular_passage_sentence
+
     name = result.scenario.name
     if result.outcome == "completed":
         yield Text.assemble((name, "bold"), f": completed, {result.end_time:.6g} s simulated in {spell_time(elapsed)}")
@@ -359,6 +361,8 @@ def _report(result: hs.Result, elapsed: float, folder: str | None, *, hint: bool
     yield _metrics_table(result)
     if result.events:
         yield Text("\n".join(f"limit exceeded: {event}" for event in result.events), style="yellow")
+    if (passage := singular_passage_sentence(result)) is not None:
+        yield Text(passage, style="yellow")
     if folder is not None:
         yield Text(f"figures, result.nc, metrics.json and scenario.yaml are in {folder}")
     elif hint:

@@ -17,7 +17,7 @@ from hexservo.scenario.parameters import core_parameters
 if TYPE_CHECKING:
     from hexservo.run.result import Result
 
-__all__ = ["LegMotion", "leg_motions"]
+__all__ = ["LegMotion", "leg_motions", "singular_passage", "singular_passage_sentence"]
 
 _IN_SIGHT = 4.0  # times what the legs do: a limit farther out is no line of the chart
 
@@ -83,3 +83,31 @@ def leg_motions(result: Result, rows: NDArray[np.intp] | None = None) -> tuple[L
         )
         for limit in limits
     )
+
+
+def singular_passage(result: Result) -> float | None:
+    """Return by when the legs have passed a singular pose: a run ends as ``singular`` only where a sample meets one.
+
+    Parameters
+    ----------
+    result
+        Of the run.
+
+    Returns
+    -------
+    float or None
+        Time of the first sample at which det H has another sign than at the start [s]; None: of no sample.
+    """
+    hexapod = _core.Hexapod(core_parameters(result.scenario).robot)
+    maps = [hexapod.wrench_map(*pose) for pose in zip(result.position, result.quaternion, strict=True)]
+    signs = np.linalg.slogdet(np.array(maps)).sign
+    turned = signs * signs[0] < 0.0
+    return float(result.time[turned.argmax()]) if turned.any() else None
+
+
+def singular_passage_sentence(result: Result) -> str | None:
+    """Return `singular_passage` as a sentence; None: the legs pass none."""
+    time = singular_passage(result)
+    if time is None:
+        return None
+    return f"By t = {time:.4g} s the legs have passed a singular pose: no machine moves as the run does from there on."

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from hexservo.run.leg_limits import leg_limits
+from hexservo.run.leg_motion import singular_passage_sentence
 from hexservo.run.metrics import metrics, readable, unsettled
 from hexservo.scenario.wording import number
 
@@ -65,4 +66,5 @@ def _legs(result: Result) -> list[str]:
         else:
             verdict = f"that is {share - 1:.0%} too much" if share < 3 else f"that is {number(share)} times as much"
         sentences.append(f"The largest {limit.of_leg} is {found} {shown} of the {limit.text} allowed; {verdict}.")
-    return sentences
+    passage = singular_passage_sentence(result)
+    return sentences if passage is None else [*sentences, passage]

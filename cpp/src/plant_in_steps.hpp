@@ -1,0 +1,34 @@
+/// @file
+/// A plant in `sampled` mode whose caller is the controller: sensors, a wrench, and its newest sample.
+#pragma once
+
+#include "hexservo/controller.hpp"
+#include "kernel.hpp"
+
+#include <memory>
+
+namespace hexservo::detail {
+
+/// A plant of any number of points.
+class PlantInSteps {
+ public:
+  explicit PlantInSteps(const Settings& given) : settings(given), points(given.target.count()) {}
+  virtual ~PlantInSteps() = default;
+  PlantInSteps(const PlantInSteps&) = delete;
+  PlantInSteps& operator=(const PlantInSteps&) = delete;
+
+  /// Commands a wrench for this tick, and goes on to the next one [N; N m].
+  virtual void command(const Vector6<double>& wrench) = 0;
+
+  Settings settings;                      ///< a recorded motion is shared with the plant
+  int points;                             ///< of the target
+  ControllerInputOf<kMostPoints> sensed;  ///< at this tick, times in seconds
+  StopCause cause = StopCause::none;
+  std::array<double, kMostSampleNumbers> sample{};  ///< the newest good one
+  double time = 0.0;                                ///< of it [s]
+};
+
+/// @throws std::invalid_argument as `simulate`, and for scenarios in continuous mode or with legs that take positions
+std::unique_ptr<PlantInSteps> commanded_plant(const Settings& settings);
+
+}  // namespace hexservo::detail
