@@ -425,9 +425,15 @@ def test_the_command_takes_a_calibration(tmp_path: Path, plain_camera: hs.Scenar
     found = CliRunner().invoke(app, ["run", str(file), "--camera", str(calibration), "--out", str(out)])
     assert found.exit_code == 0, found.output
     assert hs.load_result(next(out.glob("*.nc"))).scenario.camera == scenario.camera
-    missing = CliRunner().invoke(app, ["run", str(file), "--camera", str(tmp_path / "none.yaml")])
-    assert missing.exit_code != 0
-    assert "none.yaml" in missing.stderr
+    for command in ("run", "check", "diagnose"):
+        missing = CliRunner().invoke(app, [command, str(file), "--camera", str(tmp_path / "none.yaml")])
+        assert missing.exit_code != 0
+        assert "none.yaml" in missing.stderr
+    checked = CliRunner().invoke(app, ["check", str(file), "--camera", str(calibration), "--set", "camera.dropout=1"])
+    assert checked.exit_code == 0
+    assert "no image arrives" in checked.stderr
+    saved = CliRunner().invoke(app, ["diagnose", "saved.nc", "--camera", str(calibration)])
+    assert "--camera: expected a scenario, got a saved result" in saved.stderr
 
 
 def test_the_picture_of_the_frames_is_up_to_date() -> None:

@@ -261,6 +261,7 @@ def show(
 def check(
     scenario: ScenarioArgument,
     settings: SettingsOption = None,
+    camera: CameraOption = None,
 ) -> None:
     """Check a scenario.
 
@@ -270,7 +271,7 @@ def check(
     with errors_as_messages():
         from hexservo.findings.check import keys_without_effect, unlikely
 
-        chosen = load(scenario, settings or [])
+        chosen = load(scenario, settings or [], camera)
         complain(*unlikely(chosen), head="Warning")
         complain(*keys_without_effect(chosen), head="Note")
         simulation = chosen.simulation
