@@ -349,8 +349,10 @@ def _kept(folder: str | None) -> str:
 
 
 def _report(result: hs.Result, elapsed: float, folder: str | None, *, hint: bool) -> Iterator[RenderableType]:
-    """Print the outcome of a run, its metrics, the exceeded limits, and the place of its files."""
+    """Print the outcome of a run, its metrics, why its law did not act, exceeded limits, and the place of its files."""
     from rich.text import Text
+
+    from hexservo.run.summary import without_image
 
     name = result.scenario.name
     if result.outcome == "completed":
@@ -358,6 +360,8 @@ def _report(result: hs.Result, elapsed: float, folder: str | None, *, hint: bool
     else:
         yield Text(f"{name}: {ending(result)} (simulated in {spell_time(elapsed)})", style="bold red")
     yield _metrics_table(result)
+    if (unseen := without_image(result)) is not None:
+        yield Text(unseen, style="yellow")
     if result.events:
         yield Text("\n".join(f"limit exceeded: {event}" for event in result.events), style="yellow")
     if folder is not None:
