@@ -565,9 +565,13 @@ def test_dataset(smooth: hs.Scenario, log: Log, tmp_path: Any) -> None:
             {"robot.inertia": np.ones(3)},
             r"^robot.inertia: expected shape \(n, 3\) or \(n, 3, 3\), n scen.* got \(3,\)$",
         ),
-        ({"uncertainty.depth": [[0.1], [0.2, 0.3]]}, r"^uncertainty.depth: expected an array of numbers, got"),
-        ({"uncertainty.depth": ["0.1"]}, r"^uncertainty.depth: expected an array of numbers, got"),
-        ({"uncertainty.depth": [True]}, r"^uncertainty.depth: expected an array of numbers, got"),
+        (
+            {"camera.focal_pixels": [905.5, [800.0, 903.0]]},
+            r"^camera.focal_pixels: expected an array of numbers of shape \(n,\) or \(n, 2\), n scenarios, got entries "
+            "that are no numbers, or of different lengths$",
+        ),
+        ({"uncertainty.depth": ["0.1"]}, r"^uncertainty.depth: expected an array of numbers of shape \(n,\).*, got"),
+        ({"uncertainty.depth": [True]}, r"^uncertainty.depth: expected an array of numbers of shape \(n,\).*, got"),
         ({"uncertainty.depth": [0.1, np.nan]}, r"^scenario 1: uncertainty.depth: expected a number .*, got nan$"),
         ({"uncertainty.depth": [0.1, 0.2, -1.0]}, r"^scenario 2: uncertainty.depth: expected a number > -1 .* got -1$"),
         (

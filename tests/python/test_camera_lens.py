@@ -291,6 +291,83 @@ def test_a_calibration_of_ros_is_read(tmp_path: Path) -> None:
     assert camera_from_file(path) == camera_of("brown_conrady")
 
 
+SQUARE = "camera_matrix: [[905.5, 0, 650.25], [0, 903.0, 470.75], [0, 0, 1]]\n"
+
+
+def read_calibration(tmp_path: Path, text: str) -> dict[str, Any]:
+    from hexservo.scenario.calibration import camera_from_file
+
+    path = tmp_path / "calibration.yaml"
+    path.write_text(text)
+    return camera_from_file(path)
+
+
+@pytest.mark.parametrize(
+    ("model", "lens"),
+    [
+        ("plumb_bob", "brown_conrady"),
+        ("RadTan", "brown_conrady"),
+        ("Brown-Conrady", "brown_conrady"),
+        ('""', "brown_conrady"),
+        ("Equidistant", "kannala_brandt"),
+        ("FISHEYE", "kannala_brandt"),
+        ("KANNALA_BRANDT", "kannala_brandt"),
+    ],
+)
+def test_the_model_of_a_lens_is_read_by_its_names(tmp_path: Path, model: str, lens: str) -> None:
+    text = f"{SQUARE}image_width: 1280\nimage_height: 960\ndistortion_model: {model}\nD: {LENSES[lens]}\n"
+    assert read_calibration(tmp_path, text) == camera_of(lens)
+
+
+def test_a_rational_polynomial_is_read_where_its_denominator_is_one(tmp_path: Path) -> None:
+    text = SQUARE + "distortion_model: rational_polynomial\nD: [0.1, 0.02, 0.003, 0.004, 0.05, {}, 0, 0]\n"
+    lens = read_calibration(tmp_path, text.format(0))["distortion"]
+    assert lens == {"brown_conrady": [0.1, 0.02, 0.003, 0.004, 0.05], "kannala_brandt": None}
+    with pytest.raises(hs.ScenarioError, match="distortion: expected k1, k2, p1, p2 and k3"):
+        read_calibration(tmp_path, text.format(0.1))
+
+
+@pytest.mark.parametrize("key", ["dist_coeff", "dist_coeffs", "distCoeffs", "distortion", "dist", "D", "d"])
+def test_coefficients_are_read_by_their_usual_names(tmp_path: Path, key: str) -> None:
+    text = f"{SQUARE}image_Width: 1280\nimage_Height: 960\n{key}: [{LENSES['brown_conrady']}]\n"
+    assert read_calibration(tmp_path, text) == camera_of("brown_conrady")
+
+
+@pytest.mark.parametrize("names", ["K D", "k d"])
+def test_a_message_of_ros_is_read(tmp_path: Path, names: str) -> None:
+    matrix, lens = names.split()
+    text = (
+        f"height: 960\nwidth: 1280\ndistortion_model: plumb_bob\n{lens}: {LENSES['brown_conrady']}\n"
+        f"{matrix}: {MATRIX.ravel().tolist()}\n"
+    )
+    assert read_calibration(tmp_path, text) == camera_of("brown_conrady")
+
+
+def test_a_calibration_without_a_size_has_no_border(tmp_path: Path) -> None:
+    """Whatever border the scenario has had."""
+    scenario = hs.load_scenario("eye-to-hand")
+    assert scenario.camera.image_size is not None
+    for camera in (hs.camera_from_opencv(MATRIX), read_calibration(tmp_path, SQUARE)):
+        assert scenario.updated({"camera": camera}).camera.image_size is None
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (SQUARE + "distortion_model: omni\n", 'distortion_model: expected one of plumb_bob, .*, got "omni"'),
+        (SQUARE + "distortion_model: kb4\n", "distortion_model: expected one of"),
+        (SQUARE + "distortion_model: radtan\nfisheye_model: 1\n", "expected fisheye beside fisheye_model: 1"),
+        (SQUARE + "distort: [0.1, 0, 0, 0]\n", "distort: expected no such key, .* name them distortion_coefficients"),
+        (SQUARE + "D: [0, 0, 0, 0]\ndist: [0, 0, 0, 0]\n", "D: expected the coefficients once, got dist too"),
+        (SQUARE + "image_width: 1280\n", "size: expected real numbers"),
+        ("<opencv_storage>\n</opencv_storage>\n", r"got XML; .* ends in .yml or .json"),
+    ],
+)
+def test_a_calibration_that_would_be_misread_is_refused(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(hs.ScenarioError, match=message):
+        read_calibration(tmp_path, text)
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -348,9 +425,15 @@ def test_the_command_takes_a_calibration(tmp_path: Path, plain_camera: hs.Scenar
     found = CliRunner().invoke(app, ["run", str(file), "--camera", str(calibration), "--out", str(out)])
     assert found.exit_code == 0, found.output
     assert hs.load_result(next(out.glob("*.nc"))).scenario.camera == scenario.camera
-    missing = CliRunner().invoke(app, ["run", str(file), "--camera", str(tmp_path / "none.yaml")])
-    assert missing.exit_code != 0
-    assert "none.yaml" in missing.stderr
+    for command in ("run", "check", "diagnose"):
+        missing = CliRunner().invoke(app, [command, str(file), "--camera", str(tmp_path / "none.yaml")])
+        assert missing.exit_code != 0
+        assert "none.yaml" in missing.stderr
+    checked = CliRunner().invoke(app, ["check", str(file), "--camera", str(calibration), "--set", "camera.dropout=1"])
+    assert checked.exit_code == 0
+    assert "no image arrives" in checked.stderr
+    saved = CliRunner().invoke(app, ["diagnose", "saved.nc", "--camera", str(calibration)])
+    assert "--camera: expected a scenario, got a saved result" in saved.stderr
 
 
 def test_the_picture_of_the_frames_is_up_to_date() -> None:

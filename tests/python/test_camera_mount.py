@@ -121,6 +121,20 @@ def test_errors_of_the_mount_are_the_controllers(paper: hs.Scenario) -> None:
     np.testing.assert_allclose(run.wrench[0], pulled + gravity, rtol=0, atol=1e-14)
 
 
+def test_pbvs_ends_off_its_goal_by_the_weight_not_by_the_mount() -> None:
+    """The numbers of docs/camera.md: both poses, of the goal and of the camera, are those of the wrong camera."""
+    still = {"camera.noise": 0.0, "controller.law": "pbvs", "simulation.duration": 1.0}
+    scenario = hs.load_scenario("hand-eye").updated(still)
+    right = {"uncertainty.mount.position": [0.0] * 3, "uncertainty.mount.rotation": [0.0] * 3}
+
+    def end(changes: dict[str, Any]) -> float:
+        return hs.metrics(hs.simulate(scenario.updated(changes)))["final_error"]
+
+    assert end({}) == pytest.approx(0.449, abs=5e-4)
+    assert end(right) == pytest.approx(0.465, abs=5e-4)
+    assert end({"uncertainty.gravity": 0.0}) < 1e-3
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

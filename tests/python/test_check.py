@@ -93,6 +93,49 @@ def test_times_that_the_run_is_too_short_for(key: str, words: str) -> None:
             assert seen({key: time})[place] == happens
 
 
+def test_frames_that_are_all_lost() -> None:
+    lossy = hs.load_scenario("slow-camera").updated({"camera.dropout": 1.0})
+    assert only(lossy, "camera.dropout") == "camera.dropout: 1 loses every frame, so that no image arrives in the run"
+    assert unlikely(lossy.updated({"camera.dropout": 0.9})) == []
+
+
+def test_a_size_that_is_not_that_of_the_calibration() -> None:
+    """By hand: 630 px is 150.5 px from (960 - 1)/2 = 479.5 px, which is 15.7 % of 960 px."""
+    scenario = hs.load_scenario("eye-to-hand")
+    matrix = [[900.0, 0.0, 630.0], [0.0, 900.0, 470.0], [0.0, 0.0, 1.0]]
+    swapped = scenario.updated({"camera": hs.camera_from_opencv(matrix, size=(960, 1280))})
+    assert "is more than 15% of the image from its centre, (479.5, 639.5) px" in only(swapped, "camera.principal_point")
+    for changes in ({"camera.principal_point": [623.0, 470.0]}, {"camera.image_size": None}):
+        assert not any("principal_point" in line for line in unlikely(swapped.updated(changes)))
+
+
+@pytest.mark.parametrize(
+    ("reading", "frame", "mean"),
+    [
+        (9.8, "specific_force", "(0, 0, 19.6)"),  # the sign of an axis that points up
+        (-9.8, "kinematic", "(0, 0, -9.8)"),
+        (-9.8, "specific_force", None),
+        (-8.0, "specific_force", None),  # a mean of 1.8 m/s^2
+        (0.0, "kinematic", None),
+    ],
+)
+def test_gravity_in_a_recording(reading: float, frame: str, mean: str | None) -> None:
+    scenario = hs.load_scenario("slow-camera")
+    assert scenario.robot.gravity == (0.0, 0.0, 9.8)
+    motion = {
+        "kind": "recorded",
+        "samples": [[(-1.0) ** sample, 0.0, reading] for sample in range(50)],
+        "sample_period": 0.1,
+        "frame_of_acceleration": frame,
+    }
+    found = [line for line in unlikely(scenario.updated({"base_motion": motion})) if "base_motion" in line]
+    assert len(found) == (mean is not None)
+    for line in found:
+        assert f"their mean acceleration is {mean} m/s^2, by which the base gains" in line
+        assert "in 5 s; check the signs and base_motion.frame_of_acceleration" in line
+        assert "specific_force has (0, 0, -9.8) m/s^2" in line
+
+
 def test_home_below_the_base_and_a_stroke_beyond_a_leg(paper: hs.Scenario) -> None:
     below = paper.updated({"robot.home_position": [0.0, 0.0, 0.15]})
     assert "puts home below the base" in only(below, "robot.home_position")

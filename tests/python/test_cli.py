@@ -322,6 +322,12 @@ def test_an_early_end_is_reported_and_its_results_are_kept(tmp_path: Path) -> No
     assert len(limits) == len(metrics["events"]) == 12
 
 
+def test_a_run_whose_law_never_acted_has_the_reason() -> None:
+    run = Run("run", "slow-camera", "--set", "camera.dropout=1.0", "--set", "simulation.duration=0.1")
+    assert run.code == 0
+    assert run.lines[-2].startswith("The law did not act: every frame was lost (camera.dropout: 1). ")
+
+
 def test_quiet_prints_errors_only() -> None:
     run = Run("run", "paper", *SHORT, "--quiet")
     assert (run.code, run.out, run.error) == (0, "", "")

@@ -208,6 +208,17 @@ def test_projection_by_its_definition(paper: hs.Scenario) -> None:
     assert np.isnan(hs.project(scenario, [0, 0, -1.0, 0, 0, 0])).all()  # beyond the target
 
 
+def test_a_point_behind_the_camera_alone_has_no_image(paper: hs.Scenario) -> None:
+    """Turned by about a right angle, the camera has three of the points before it, then two, one and none."""
+    scenario = paper.updated({"target": {**NO_IMAGE, "points": POINTS}})
+    for angle in (1.4, 1.5, 1.55, 1.62, 1.7):
+        turn = Rotation.from_rotvec([angle, 0.0, 0.0])
+        x, y, z = turn.inv().apply(np.array(POINTS) - scenario.robot.home_position).T
+        f = scenario.camera.focal_length * scenario.camera.pixel_scale
+        expected = np.where(z < 0, [-f * x / z, -f * y / z], np.nan).T
+        np.testing.assert_allclose(hs.project(scenario, [0, 0, 0, angle, 0, 0]), expected.ravel(), rtol=1e-9)
+
+
 def test_a_tag_is_its_corners(paper: hs.Scenario) -> None:
     tag: dict[str, Any] = {"size": 0.08, "pose": [0.01, 0.02, -0.65, 0.1, 0.2, 0.3]}
     scenario = paper.updated({"target": {**NO_IMAGE, "tag": tag}})

@@ -191,6 +191,27 @@ def test_the_summary_of_other_runs(changes: dict[str, Any], expected: list[str])
         assert part in words
 
 
+BEFORE_HOME = {"principal_point": [640.0, 480.0], "image_size": [1280.0, 960.0]}  # the scenario's pixels count from it
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"camera.dropout": 1.0}, "every frame was lost (camera.dropout: 1)"),
+        ({"camera.latency": 0.1}, "no frame arrived in 100 ms (camera.latency: 100 ms)"),
+        ({f"camera.{key}": value for key, value in BEFORE_HOME.items()}, "points 2, 3, 4 are outside of the camera's"),
+        ({}, None),
+    ],
+)
+def test_a_law_that_never_acts_is_noted(changes: dict[str, Any], reason: str | None) -> None:
+    """The platform moves as it does without any frame, and otherwise not."""
+    scenario = hs.load_scenario("slow-camera").updated({"simulation.duration": 0.1})
+    run, blind = (hs.simulate(scenario.updated(each)) for each in (changes, {"camera.dropout": 1.0}))
+    assert np.array_equal(run.position, blind.position) == (reason is not None)
+    words = summary_sentences(run)[1]
+    assert (f"The law did not act: {reason}" in words) if reason else "did not settle" in words
+
+
 def test_a_custom_controller_is_named() -> None:
     scenario = hs.load_scenario("paper").updated({"simulation.mode": "sampled", "simulation.duration": 0.01})
     run = hs.simulate(scenario, controller=lambda observation: np.array([0, 0, -0.588, 0, 0, 0]))

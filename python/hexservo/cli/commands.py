@@ -261,6 +261,7 @@ def show(
 def check(
     scenario: ScenarioArgument,
     settings: SettingsOption = None,
+    camera: CameraOption = None,
 ) -> None:
     """Check a scenario.
 
@@ -270,7 +271,7 @@ def check(
     with errors_as_messages():
         from hexservo.findings.check import keys_without_effect, unlikely
 
-        chosen = load(scenario, settings or [])
+        chosen = load(scenario, settings or [], camera)
         complain(*unlikely(chosen), head="Warning")
         complain(*keys_without_effect(chosen), head="Note")
         simulation = chosen.simulation
@@ -348,10 +349,11 @@ def _kept(folder: str | None) -> str:
 
 
 def _report(result: hs.Result, elapsed: float, folder: str | None, *, hint: bool) -> Iterator[RenderableType]:
-    """Print the outcome of a run, its metrics, the exceeded limits, and the place of its files."""
+    """Print the outcome of a run, its metrics, why its law did not act, exceeded limits, and the place of its files."""
     from rich.text import Text
 
     from hexservo.run.leg_motion import singular_passage_sentence
+    from hexservo.run.summary import without_image
 
     name = result.scenario.name
     if result.outcome == "completed":
@@ -359,6 +361,8 @@ def _report(result: hs.Result, elapsed: float, folder: str | None, *, hint: bool
     else:
         yield Text(f"{name}: {ending(result)} (simulated in {spell_time(elapsed)})", style="bold red")
     yield _metrics_table(result)
+    if (unseen := without_image(result)) is not None:
+        yield Text(unseen, style="yellow")
     if result.events:
         yield Text("\n".join(f"limit exceeded: {event}" for event in result.events), style="yellow")
     if (passage := singular_passage_sentence(result)) is not None:

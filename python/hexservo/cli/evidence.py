@@ -13,6 +13,7 @@ import hexservo as hs
 from hexservo.cli.terminal import (
     ENDED_EARLY,
     INTERRUPTED,
+    CameraOption,
     SettingsOption,
     complain,
     ending,
@@ -100,6 +101,7 @@ def analyse(
 def diagnose(
     run: _RunArgument,
     settings: SettingsOption = None,
+    camera: CameraOption = None,
     json: JsonOption = None,
     force: ForceOption = False,
     machine: Annotated[
@@ -111,11 +113,18 @@ def diagnose(
 
     The most likely cause comes first, with its evidence and a remedy.
     """
-    _judge("diagnose", run, settings, json, force, machine)
+    _judge("diagnose", run, settings, json, force, camera=camera, machine=machine)
 
 
 def _judge(
-    name: str, run: str, settings: list[str] | None, json: str | None, force: bool, machine: str | None = None
+    name: str,
+    run: str,
+    settings: list[str] | None,
+    json: str | None,
+    force: bool,
+    *,
+    camera: str | None = None,
+    machine: str | None = None,
 ) -> None:
     with errors_as_messages():
         from hexservo.cli.print_sections import printed
@@ -125,12 +134,12 @@ def _judge(
         if json is not None:
             check_json(name, json, force)
         if machine is not None:
-            model = identified(run, machine, settings)
+            model = identified(run, machine, settings, camera)
             for section in model.doubtful:
                 complain(*section.sentences, head=section.title)
             of: Any = _run(model.scenario)
         else:
-            of = _scenario(run, settings or []) if source.of_scenario else _result(run, settings or [])
+            of = _scenario(run, settings or []) if source.of_scenario else _result(run, settings or [], camera)
         try:
             found = source.find(of)
         except ValueError as error:  # for a run or scenario to which it does not apply
@@ -146,11 +155,11 @@ def _judge(
 # ---- Input ----------------------------------------------------------------------------------------------------------
 
 
-def _result(run: str, settings: list[str]) -> hs.Result:
+def _result(run: str, settings: list[str], camera: str | None = None) -> hs.Result:
     """Read a saved result, or run a scenario; a run interrupted with Ctrl-C is not evaluated."""
-    if _is_saved(run, settings):
+    if _is_saved(run, settings, camera):
         return hs.load_result(run)
-    return _run(load(run, settings))
+    return _run(load(run, settings, camera))
 
 
 def _run(scenario: hs.Scenario) -> hs.Result:
@@ -173,10 +182,11 @@ def _scenario(run: str, settings: list[str]) -> hs.Scenario:
     return hs.load_result(run).scenario if _is_saved(run, settings) else load(run, settings)
 
 
-def _is_saved(run: str, settings: list[str]) -> bool:
+def _is_saved(run: str, settings: list[str], camera: str | None = None) -> bool:
     saved = run.endswith(".nc") and run not in hs.scenario_names()
-    if saved and settings:
-        raise hs.ScenarioError(["expected a scenario, got a saved result, which cannot be changed"], "--set")
+    if saved and (settings or camera is not None):
+        option = "--set" if settings else "--camera"
+        raise hs.ScenarioError(["expected a scenario, got a saved result, which cannot be changed"], option)
     return saved
 
 
@@ -187,11 +197,13 @@ def _exit_as(result: hs.Result) -> None:
         raise typer.Exit(INTERRUPTED if result.outcome == "interrupted" else ENDED_EARLY)
 
 
-def identified(log: str, machine: str, settings: list[str] | None, *, motors: bool = False) -> hs.Identification:
+def identified(
+    log: str, machine: str, settings: list[str] | None, camera: str | None = None, *, motors: bool = False
+) -> hs.Identification:
     """Identify a log with a bar on a terminal; Ctrl-C ends the command."""
     try:
         watched = sys.stderr is not None and sys.stderr.isatty()
-        return hs.identify(log, load(machine, settings or []), motors=motors, progress=watched)
+        return hs.identify(log, load(machine, settings or [], camera), motors=motors, progress=watched)
     except KeyboardInterrupt:
         complain("nothing was written", head="Interrupted")
         raise typer.Exit(INTERRUPTED) from None

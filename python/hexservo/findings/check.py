@@ -30,6 +30,9 @@ from hexservo.scenario.wording import number, quantity
 __all__ = ["keys_without_effect", "unlikely"]
 
 _FEWEST = 3  # points that a law can regulate
+_OFF_CENTRE = 0.15  # of the image, most that the principal point of a usual lens is off its centre
+# [m/s^2], of a base's recording: a vehicle that is at rest before and after has a mean of zero, and gravity is 9.8
+_MEAN_ACCELERATION = 2.0
 _TICKS = 10  # servo periods per shortest time constant of the loop for which the hold has little effect
 
 
@@ -37,10 +40,11 @@ def unlikely(scenario: Scenario) -> list[str]:
     """Return a sentence for each legal but probably unintended setting.
 
     Compares the weight at home with the force limits, home with the base, the stroke with the leg lengths, start and
-    goal with stroke, joint limits and image, the start's twist with the speed limit, times of the camera and of the
-    metrics with the duration, and in sampled mode the servo period with the loop of the gains, linearised at home with
-    the switching term as in `linear_law`; gains with duration, servo rate, delays and forces (`of_gains`). Gains with
-    which numbers of that loop overflow have a sentence that names it. Does not simulate.
+    goal with stroke, joint limits and image, the start's twist with the speed limit, the principal point with the
+    image, times of the camera and of the metrics with the duration, a recorded acceleration with that of gravity, and
+    in sampled mode the servo period with the loop of the gains, linearised at home with the switching term as in
+    `linear_law`; gains with duration, servo rate, delays and forces (`of_gains`). Gains with which numbers of that loop
+    overflow have a sentence that names it. Does not simulate.
     """
     scene = scene_of(scenario)
     fastest, overflow = None, []
@@ -56,7 +60,10 @@ def unlikely(scenario: Scenario) -> list[str]:
         *_of_goal(scene),
         *_of_points(scene),
         *_of_image(scenario),
+        *_of_principal_point(scenario),
         *_of_duration(scenario),
+        *_of_dropout(scenario),
+        *_of_recording(scenario),
         *_of_period(scenario, fastest),
         *(overflow or of_gains(scene, fastest)),
     ]
@@ -143,6 +150,21 @@ def _of_image(scenario: Scenario) -> Iterator[str]:
             yield f"{what} is outside the image of {width:.0f} x {height:.0f} px ({points})"
 
 
+def _of_principal_point(scenario: Scenario) -> Iterator[str]:
+    """Find a size that is not that of the calibrated image, such as height and width in the wrong order."""
+    camera = scenario.camera
+    if camera.image_size is None or camera.principal_point is None:
+        return
+    size, point = np.asarray(camera.image_size), np.asarray(camera.principal_point)
+    centre = (size - 1.0) / 2.0
+    if (np.abs(point - centre) > _OFF_CENTRE * size).any():
+        yield (
+            f"camera.principal_point: ({number(point[0])}, {number(point[1])}) px is more than {_OFF_CENTRE:.0%} of "
+            f"the image from its centre, ({number(centre[0], 4)}, {number(centre[1], 4)}) px; camera.image_size is "
+            f"width and height of the calibrated image, here {size[0]:.0f} x {size[1]:.0f} px"
+        )
+
+
 def _of_duration(scenario: Scenario) -> Iterator[str]:
     """Find times that a run is too short for. The first image is exposed at its start."""
     consequences = {
@@ -159,6 +181,34 @@ def _of_duration(scenario: Scenario) -> Iterator[str]:
                 f"{key}: {quantity(time, 's')} is not shorter than simulation.duration, {quantity(duration, 's')}, so "
                 f"that {consequence}"
             )
+
+
+def _of_dropout(scenario: Scenario) -> Iterator[str]:
+    if scenario.camera.dropout == 1.0:
+        yield "camera.dropout: 1 loses every frame, so that no image arrives in the run"
+
+
+def _of_recording(scenario: Scenario) -> Iterator[str]:
+    """Find gravity in recorded accelerations, by the speed that they would give to the base."""
+    motion = scenario.base_motion
+    if motion.kind != "recorded" or motion.samples is None or motion.sample_period is None:
+        return
+    with np.errstate(over="ignore"):
+        mean = np.mean(motion.samples, axis=0)
+        size = float(np.linalg.norm(mean))
+    if size <= _MEAN_ACCELERATION:
+        return
+    duration = len(motion.samples) * motion.sample_period
+    yield (
+        f"base_motion.samples: their mean acceleration is {_vector(mean)} m/s^2, by which the base gains "
+        f"{number(size * duration)} m/s in {quantity(duration, 's')}; check the signs and "
+        "base_motion.frame_of_acceleration: at rest and level, specific_force has "
+        f"{_vector(-np.asarray(scenario.robot.gravity))} m/s^2 in the file, and kinematic has zero"
+    )
+
+
+def _vector(values: Array) -> str:
+    return f"({', '.join(map(number, values))})"
 
 
 def _of_period(scenario: Scenario, rate: float | None) -> Iterator[str]:

@@ -86,8 +86,8 @@ def project(scenario: Scenario, pose: ArrayLike) -> Array:
     scene = scene_of(scenario)
     poses = scene.home.moved(moves)
     features, depth = scene.probe.image(poses.rows.position, poses.rows.quaternion)
-    seen = np.asarray((depth < 0).all(axis=1))[:, None]
-    pixels = to_pixels(scenario, np.where(seen, features, np.nan))
+    in_front = np.repeat(np.asarray(depth) < 0, 2, axis=1)  # of both coordinates
+    pixels = to_pixels(scenario, np.where(in_front, features, np.nan))
     return np.asarray(pixels.reshape(*moves.shape[:-1], features.shape[-1]))
 
 

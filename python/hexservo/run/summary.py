@@ -4,20 +4,34 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from hexservo.run.leg_limits import leg_limits
 from hexservo.run.leg_motion import singular_passage_sentence
 from hexservo.run.metrics import metrics, readable, unsettled
-from hexservo.scenario.wording import number
+from hexservo.scenario.block import SAMPLED_MODE
+from hexservo.scenario.pixels import points_outside
+from hexservo.scenario.wording import number, quantity
 
 if TYPE_CHECKING:
     from hexservo.run.result import Result
 
-__all__ = ["summary_sentences"]
+__all__ = ["summary_sentences", "without_image"]
 
 
 def summary_sentences(result: Result) -> list[str]:
-    """Return how a run ended, whether it settled, its remaining error, and how near the legs came to their limits."""
-    return [_outcome(result), _settling(result), _residual(result), *_legs(result)]
+    """Return how a run ended, whether it settled, its remaining error, and how near the legs came to their limits.
+
+    Where the law has not acted, the second sentence has the reason.
+    """
+    unseen = without_image(result)
+    return [
+        _outcome(result),
+        *([] if unseen is None else [unseen]),
+        _settling(result),
+        _residual(result),
+        *_legs(result),
+    ]
 
 
 def _outcome(result: Result) -> str:
@@ -32,6 +46,28 @@ def _outcome(result: Result) -> str:
         f"The run of {result.scenario.simulation.duration:.4g} s ended early ({result.outcome.replace('_', ' ')}): "
         f"{result.detail}. It was controlled by {law}."
     )
+
+
+def without_image(result: Result) -> str | None:
+    """Return why the law has not acted in a run: no frame came, or one of the points is in none; else None.
+
+    The reasons are those that scenario and samples show; a point that noise moves across the border counts by its true
+    place.
+    """
+    scenario, camera = result.scenario, result.scenario.camera
+    if scenario.simulation.mode != SAMPLED_MODE or not result.by_law:
+        return None
+    if camera.dropout == 1.0:
+        why = "every frame was lost (camera.dropout: 1)"
+    elif camera.latency >= result.end_time:
+        why = f"no frame arrived in {quantity(result.end_time, 's')} (camera.latency: {quantity(camera.latency, 's')})"
+    else:
+        never = np.flatnonzero(points_outside(scenario, result.features).all(axis=0)) + 1
+        if not len(never):
+            return None
+        points = f"point{'s' if len(never) > 1 else ''} {', '.join(map(str, never))}"
+        why = f"{points} {'are' if len(never) > 1 else 'is'} outside of the camera's image at every sample"
+    return f"The law did not act: {why}. Until each point has been seen once, the safe output holds the platform."
 
 
 def _settling(result: Result) -> str:

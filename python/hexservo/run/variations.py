@@ -127,12 +127,10 @@ def _array(key: str, rule: NumericKey, given: ArrayLike) -> NDArray[Any]:
         if values.dtype.kind not in "iuf":
             raise ValueError
     except ValueError:  # ragged, or no numbers
-        raise ValueError(f"{key}: expected an array of numbers, got {_kind(given)}") from None
+        expected = f"expected an array of numbers of shape {_shapes(rule)}, n scenarios"
+        raise ValueError(f"{key}: {expected}, got {_kind(given)}") from None
     if values.ndim == 0 or values.shape[1:] not in rule.shapes or len(values) == 0:
-        shapes = " or ".join(
-            f"({', '.join(map(str, ('n', *shape)))}{',' if not shape else ''})" for shape in rule.shapes
-        )
-        raise ValueError(f"{key}: expected shape {shapes}, n scenarios, got {values.shape}")
+        raise ValueError(f"{key}: expected shape {_shapes(rule)}, n scenarios, got {values.shape}")
     allowed = rule.within(values)
     if not allowed.all():
         place = tuple(int(index) for index in np.argwhere(~allowed)[0])
@@ -176,6 +174,15 @@ def plain_row(rule: NumericKey, row: NDArray[Any]) -> Any:
     return int(row) if rule.whole else row.tolist()
 
 
+def _shapes(rule: NumericKey) -> str:
+    """Return the shapes of an array for a key, as "(n,) or (n, 2)"."""
+    return " or ".join(f"({', '.join(map(str, ('n', *shape)))}{',' if not shape else ''})" for shape in rule.shapes)
+
+
 def _kind(value: object) -> str:
     dtype = getattr(value, "dtype", None)
-    return f"an array of {dtype}" if dtype is not None else f"something else ({type(value).__name__})"
+    if dtype is not None:
+        return f"an array of {dtype}"
+    if isinstance(value, list | tuple):
+        return "entries that are no numbers, or of different lengths"
+    return f"something else ({type(value).__name__})"

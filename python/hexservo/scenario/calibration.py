@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,9 +18,22 @@ from hexservo.scenario.yaml import ScenarioError, load_yaml, read_text
 __all__ = ["camera_from_file", "camera_from_opencv"]
 
 _BROWN_CONRADY, _KANNALA_BRANDT = 5, 4  # numbers of coefficients
-_MATRICES = ("camera_matrix", "cameraMatrix", "K")
-_COEFFICIENTS = ("distortion_coefficients", "dist_coeffs", "distCoeffs", "D")
-_FISHEYES = ("fisheye", "equidistant", "kannala_brandt")
+_Model: TypeAlias = Literal["brown_conrady", "kannala_brandt"]
+
+# Keys of calibration files: of OpenCV's FileStorage and its tutorials, of ROS 1 and ROS 2.
+_MATRICES = ("camera_matrix", "cameraMatrix", "K", "k", "mtx")
+_COEFFICIENTS = (
+    *("distortion_coefficients", "distortion_coeffs", "distCoeffs", "dist_coeffs", "dist_coeff"),
+    *("distortion", "dist", "D", "d"),
+)
+_WIDTHS = ("image_width", "image_Width", "width")
+_HEIGHTS = ("image_height", "image_Height", "height")
+_MODEL = "distortion_model"
+_MODELS: dict[str, _Model] = {  # names of the two, in lower case with underscores
+    **dict.fromkeys(("plumb_bob", "radtan", "brown", "brown_conrady"), "brown_conrady"),
+    "rational_polynomial": "brown_conrady",  # where k4, k5 and k6 are zero, which the number of coefficients checks
+    **dict.fromkeys(("fisheye", "equidistant", "kannala_brandt"), "kannala_brandt"),
+}
 
 
 def camera_from_opencv(
@@ -28,7 +41,7 @@ def camera_from_opencv(
     distortion: ArrayLike | None = None,
     size: Sequence[int] | None = None,
     *,
-    model: Literal["brown_conrady", "kannala_brandt"] = "brown_conrady",
+    model: _Model = "brown_conrady",
 ) -> dict[str, Any]:
     """Return keys of a scenario's camera for a calibration of OpenCV, as it is.
 
@@ -65,6 +78,7 @@ def camera_from_opencv(
         "focal_pixels": [float(matrix[0, 0]), float(matrix[1, 1])],
         "principal_point": [float(matrix[0, 2]), float(matrix[1, 2])],
         "distortion": {"brown_conrady": None, "kannala_brandt": None},
+        "image_size": None,
     }
     if model not in camera["distortion"]:
         raise ValueError(f'model: expected "brown_conrady" or "kannala_brandt", got {shown_value(model)}')
@@ -79,11 +93,14 @@ def camera_from_opencv(
 
 
 def camera_from_file(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return keys of a scenario's camera for a calibration file: YAML of OpenCV's ``FileStorage``, or of ROS.
+    """Return keys of a scenario's camera for a calibration file: YAML or JSON of OpenCV's ``FileStorage``, or of ROS.
 
-    The camera matrix is ``camera_matrix``, ``cameraMatrix`` or ``K``, the coefficients are ``distortion_coefficients``,
-    ``dist_coeffs``, ``distCoeffs`` or ``D``, the size is ``image_width`` and ``image_height``; other keys do not count.
-    ``distortion_model: fisheye`` (or ``equidistant``) and ``fisheye_model: 1`` mean the model of Kannala and Brandt.
+    The camera matrix is ``camera_matrix``, ``cameraMatrix``, ``K``, ``k`` or ``mtx``, also as nine numbers in a row;
+    the coefficients are ``distortion_coefficients``, ``dist_coeffs``, ``D`` or another of their usual names; the size
+    is ``image_width`` and ``image_height``, or ``width`` and ``height``. Other keys do not count, but one that begins
+    with ``dist`` is refused. ``distortion_model`` is a name of the model of Brown and Conrady (``plumb_bob``,
+    ``radtan``, ``rational_polynomial`` with zeros from k4 on) or, as ``fisheye_model: 1``, of that of Kannala and
+    Brandt (``fisheye``, ``equidistant``), in any case.
 
     Raises
     ------
@@ -92,6 +109,12 @@ def camera_from_file(path: str | os.PathLike[str]) -> dict[str, Any]:
     """
     source = os.fsdecode(path)
     text = read_text(path, "YAML").removeprefix("\ufeff")
+    if text.lstrip().startswith("<"):
+        raise ScenarioError(
+            "expected a calibration in YAML or JSON, got XML; cv2.FileStorage writes them to a file whose name ends in "
+            ".yml or .json",
+            source,
+        )
     text = re.sub(r"\A%YAML[^\n]*\n", "", text)  # %YAML:1.0 is none; a matrix is a mapping all the same
     document = load_yaml(re.sub(r"(?m)^(\s*\w+\s*:)\s*!!opencv-(?:nd-)?matrix\s*$", r"\1", text), source)
     try:
@@ -103,19 +126,53 @@ def camera_from_file(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def _from_document(document: dict[str, Any]) -> dict[str, Any]:
-    name = next((key for key in _MATRICES if key in document), None)
+    name = _given(document, _MATRICES)
     if name is None:
         raise ValueError(f"expected the key camera_matrix, got the keys {', '.join(map(str, document))}")
     matrix = _matrix(name, document[name])
-    coefficients = next((key for key in _COEFFICIENTS if document.get(key) is not None), None)
-    fisheye = document.get("distortion_model") in _FISHEYES or document.get("fisheye_model") == 1
-    size = [document.get(key) for key in ("image_width", "image_height")]
+    if matrix.shape == (9,):  # as a message of ROS has it
+        matrix = matrix.reshape(3, 3)
+    coefficients = _given(document, _COEFFICIENTS)
+    _require_used(document, coefficients)
+    size = [None if key is None else document[key] for key in (_given(document, _WIDTHS), _given(document, _HEIGHTS))]
     return camera_from_opencv(
         matrix,
         None if coefficients is None else _matrix(coefficients, document[coefficients]),
-        None if None in size else size,  # type: ignore[arg-type]  # checked there
-        model="kannala_brandt" if fisheye else "brown_conrady",
+        None if size == [None, None] else size,  # type: ignore[arg-type]  # checked there
+        model=_model(document),
     )
+
+
+def _given(document: dict[str, Any], names: tuple[str, ...]) -> str | None:
+    """Return the first of some keys that a document has, or None."""
+    return next((name for name in names if document.get(name) is not None), None)
+
+
+def _require_used(document: dict[str, Any], coefficients: str | None) -> None:
+    """Refuse coefficients under a name that is not known, or under two: without them the camera would be another."""
+    for key, value in document.items():
+        if value is None or key in (coefficients, _MODEL):
+            continue
+        if key in _COEFFICIENTS:
+            raise ValueError(f"{key}: expected the coefficients once, got {coefficients} too; drop one of the two")
+        if key.lower().startswith("dist"):
+            raise ValueError(
+                f"{key}: expected no such key, got {shown_value(value)}; if these are the coefficients of the lens, "
+                f"name them {_COEFFICIENTS[0]}, else drop the key"
+            )
+
+
+def _model(document: dict[str, Any]) -> _Model:
+    """Return the model of the lens by the keys of a file; without them that of ``cv2.calibrateCamera``."""
+    name, fisheye = document.get(_MODEL), document.get("fisheye_model") == 1
+    if name is None or name == "":  # ROS leaves it empty where the model is not known
+        return "kannala_brandt" if fisheye else "brown_conrady"
+    model = _MODELS.get(re.sub(r"[\s-]+", "_", str(name).strip().lower()))
+    if model is None:
+        raise ValueError(f"{_MODEL}: expected one of {', '.join(_MODELS)}, got {shown_value(name)}")
+    if fisheye and model != "kannala_brandt":
+        raise ValueError(f"{_MODEL}: expected fisheye beside fisheye_model: 1, got {shown_value(name)}; drop one")
+    return model
 
 
 def _matrix(name: str, value: Any) -> Array:
