@@ -4,6 +4,7 @@ import { Controls, KeyList, element } from "./controls.js";
 import { Runner } from "./engine.js";
 import { short, withUnit } from "./format.js";
 import { ImageView } from "./image.js";
+import { middles, passedLimits, unitOfMetric } from "./limits.js";
 import { ParameterMap } from "./map.js";
 import { changed, drawn, fromAddress, full, laws, metrics, presetOf, presets, start, toAddress, toYaml, valueOf } from "./model.js";
 import { endsAt, targetAt } from "./machine.js";
@@ -91,6 +92,8 @@ function show() {
   result.weight = gravity.map((g) => -mass * g);
   result.shown = shown();
   result.cranks = cranks();
+  result.stroke = valueOf(state, "robot.stroke");
+  result.middle = middles(state, result);
   result.targetMoves = valueOf(state, "target.motion.kind") !== "none";
   image.show({ ...result, goals: result.scene.goal, movable: pixelsAreFeatures() });
   scene.show(result, down.map((g) => -g));
@@ -136,19 +139,23 @@ function at(next) {
 
 // --- words and numbers
 
-function ending(outcome, values, time, detail = "") {
-  const band = withUnit(valueOf(state, "metrics.band"), "px");
+/** How a run of a state went: good, bad or warn, and a sentence; "but" begins what it does beyond the limits of the legs. */
+function ending(of, { outcome, metrics: values, time, detail, ...rest }) {
   if (outcome !== "completed") return ["bad", `Ends early, ${outcome.replaceAll("_", " ")}${detail ? `: ${detail}` : ""}`];
-  if (!Number.isNaN(values.settling_time)) return ["good", `Settles within ${band} at ${withUnit(values.settling_time, "s")}`];
-  return ["warn", `Does not settle: ${withUnit(values.final_error, "px")} from the goal after ${withUnit(time, "s")}`];
+  const passed = passedLimits(of, { metrics: values, ...rest });
+  const but = passed.length ? `, but ${passed.join(", ")}` : "";
+  const band = withUnit(valueOf(of, "metrics.band"), "px");
+  if (Number.isNaN(values.settling_time)) return ["warn", `Does not settle: ${withUnit(values.final_error, "px")} from the goal after ${withUnit(time, "s")}${but}`];
+  return [but ? "warn" : "good", `Settles within ${band} at ${withUnit(values.settling_time, "s")}${but}`];
 }
 
 function verdict() {
-  const [kind, words] = ending(result.outcome, result.metrics, result.time, result.detail);
+  const [kind, words] = ending(state, result);
   $("verdict").className = `verdict ${kind}`;
   write($("verdict"), words);
   const counts = reference && Object.keys(state.changes).length;
-  write($("against"), counts ? `Preset: ${ending(reference.outcome, reference.metrics, reference.time)[1].replace(/^./, (letter) => letter.toLowerCase())}` : "");
+  const before = counts ? ending({ preset: state.preset, changes: {} }, { ...reference, detail: "" })[1] : "";
+  write($("against"), before && `Preset: ${before.replace(/^./, (letter) => letter.toLowerCase())}`);
   image.canvas.setAttribute("aria-label", `Image plane: paths of ${result.points} features to their goals. ${words}. Arrow keys move a goal, digits choose it.`);
 }
 
@@ -160,7 +167,8 @@ function table() {
     return { name, unit, cells };
   });
   const differs = Object.keys(state.changes).length > 0 && reference;
-  for (const { name, unit, cells } of rows) {
+  for (const { name, unit: known, cells } of rows) {
+    const unit = unitOfMetric(state, { name, unit: known });
     const [value, before] = [result.metrics[name], reference?.metrics[name] ?? NaN];
     cells[0].parentElement.hidden = Number.isNaN(value) && Number.isNaN(before) && name !== "settling_time";
     write(cells[0], withUnit(value, unit));

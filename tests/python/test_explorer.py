@@ -277,6 +277,37 @@ def test_the_target_is_drawn_where_it_is(visit: Visit, name: str, kind: str) -> 
         np.testing.assert_allclose(found["target"], expected, rtol=0, atol=1e-9)
 
 
+@in_browser
+def test_a_run_beyond_a_limit_of_the_legs_is_not_called_good(visit: Visit) -> None:
+    """The sentence has the first event of the package, and legs beyond their stroke have the colour of a warning."""
+    page = visit.page
+    warned = """() => {
+      const rgb = document.createElement('i');
+      rgb.style.color = 'var(--warn)';
+      document.body.append(rgb);
+      const colour = getComputedStyle(rgb).color;
+      rgb.remove();
+      return [...document.querySelectorAll('#scene path')].filter(
+        path => path.style.stroke === colour && parseFloat(path.style.strokeWidth) > 2
+      ).length;
+    }"""
+    visit.go("#paper")
+    assert page.locator("#verdict").get_attribute("class") == "verdict good"
+    assert page.evaluate(warned) == 0
+    visit.go("#fails-unequal-depth")
+    first = hs.simulate(hs.load_scenario("fails-unequal-depth")).events[0]
+    words = page.locator("#verdict").inner_text()
+    said = re.search(r", but leg (\d) passes its stroke of 17 mm at ([\d.]+) s$", words)
+    assert said is not None, words
+    assert (int(said[1]), float(said[2])) == (first.leg, pytest.approx(first.time, abs=0.005))
+    assert page.locator("#verdict").get_attribute("class") == "verdict warn"
+    assert page.evaluate(warned) > 0
+    visit.go("#paper&robot.force_limit=0.05")
+    assert "but a leg takes a force of" in page.locator("#verdict").inner_text()
+    visit.go("#reachy-mini&robot.stroke=0.1")
+    assert re.search(r"but leg \d passes its stroke of 5\.73°? at", page.locator("#verdict").inner_text())
+
+
 DISCS = """colours => colours.map(colour => {
   const fill = getComputedStyle(document.documentElement).getPropertyValue(`--${colour}`).trim();
   const disc = document.querySelector(`#scene circle[fill="${fill}"]`);
