@@ -545,6 +545,82 @@ def test_changes_are_in_the_address_and_in_the_yaml(visit: Visit, browser: Brows
     assert visit.end()["metrics"] == pytest.approx(before["metrics"], rel=0, abs=0, nan_ok=True)
 
 
+def press(page: Page, slider: str, key: str) -> None:
+    """Move a slider by a key, and wait for the run."""
+    page.evaluate("explorer.shown = null")
+    page.locator(f'[data-id="{slider}"]').press(key)
+    page.wait_for_function("explorer.shown !== null")
+
+
+def told(page: Page, slider: str) -> tuple[str, str]:
+    """Label and value of a slider."""
+    row = page.locator(".slider", has=page.locator(f'[data-id="{slider}"]'))
+    return row.locator("label").inner_text(), row.locator("output").inner_text()
+
+
+@in_browser
+def test_a_slider_of_different_errors_shifts_them_all(visit: Visit) -> None:
+    page = visit.page
+    depth = "uncertainty.depth"
+    visit.go("#fails-unequal-depth")
+    assert told(page, depth) == ("depth, mean", "15 % (-30 % to 30 %)")
+    press(page, depth, "ArrowRight")
+    assert page.evaluate("explorer.state.changes") == {depth: [0.305, 0.305, -0.295, 0.305]}
+    press(page, depth, "ArrowLeft")
+    assert page.evaluate("explorer.state.changes") == {}
+    press(page, depth, "End")
+    assert page.evaluate("explorer.state.changes") == {depth: [0.9, 0.9, 0.3, 0.9]}
+    page.locator(".slider.changed .reset").click()
+    page.wait_for_function("explorer.shown === '#fails-unequal-depth'")
+    visit.go("#paper&uncertainty.depth=0.1,0.2,0.1,0.2")
+    assert told(page, depth) == ("depth, mean", "15 % (10 % to 20 %)")
+    page.locator(".slider.changed .reset").click()
+    page.wait_for_function("explorer.shown === '#paper'")
+    assert told(page, depth) == ("depth", "30 %")
+
+
+@in_browser
+def test_a_slider_of_different_gains_multiplies_them_all(visit: Visit) -> None:
+    page = visit.page
+    kp = "controller.pbvs.kp/angular"
+    visit.go("#fails-unequal-depth")
+    assert told(page, kp) == ("kp, moment, factor", "× 1")
+    press(page, kp, "End")
+    assert page.evaluate("explorer.state.changes['controller.pbvs.kp']") == pytest.approx(
+        [24, 24, 24, 0.06 * 10**1.5, 0.06 * 10**1.5, 0.12 * 10**1.5], rel=1e-4
+    )
+    page.locator(".slider.changed .reset").click()
+    page.wait_for_function("explorer.shown === '#fails-unequal-depth'")
+    for address, kinds in {
+        "#paper&controller.law=pbvs": ("kp", "kd", "prior"),
+        "#paper&controller.law=kelly": ("kp", "kd"),
+        "#paper&controller.law=composite": ("kp", "kv", "kt", "kd", "drive", "prior"),
+        "#moog-6dof2000e": ("kp", "kv", "kt", "kd", "drive", "prior"),
+    }.items():
+        visit.go(address)
+        keys = set(page.locator("#controls input[type=range]").evaluate_all("found => found.map(e => e.dataset.id)"))
+        law = page.evaluate("explorer.full()['controller.law']")
+        for kind in kinds:
+            halves = [""] if kind == "kp" and law != "pbvs" else ["/linear", "/angular"]
+            assert {f"controller.{law}.{kind}{half}" for half in halves} <= keys, (address, kind)
+
+
+@in_browser
+def test_halves_of_a_gain_are_named_after_what_they_are(visit: Visit) -> None:
+    """Forces and moments where that is their unit, else translation and rotation."""
+    visit.go("#paper-composite")
+    for kind, linear, angular in (
+        ("kt", "kt, force", "kt, moment, factor"),
+        ("drive", "drive, translation", "drive, rotation"),
+        ("prior", "prior, translation", "prior, rotation"),
+    ):
+        names = [told(visit.page, f"controller.composite.{kind}/{half}")[0] for half in ("linear", "angular")]
+        assert names == [linear, angular], kind
+    visit.go("#reachy-mini-motors")
+    assert told(visit.page, "controller.tracking.acceleration/linear")[0] == "acceleration, translation"
+    assert told(visit.page, "controller.tracking.acceleration/angular")[0] == "acceleration, rotation"
+
+
 @in_browser
 def test_an_address_with_what_is_unknown_is_read_as_far_as_it_goes(visit: Visit) -> None:
     end = visit.go("#nosuch&nokey=3&uncertainty.depth=abc&uncertainty.gravity=0.01&constructor=1")
