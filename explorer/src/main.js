@@ -6,7 +6,7 @@ import { short, withUnit } from "./format.js";
 import { ImageView } from "./image.js";
 import { middles, passedLimits, unitOfMetric } from "./limits.js";
 import { ParameterMap } from "./map.js";
-import { changed, drawn, fromAddress, full, laws, metrics, presetOf, presets, start, toAddress, toYaml, valueOf } from "./model.js";
+import { changed, drawn, full, laws, metrics, presetOf, presets, readAddress, start, toAddress, toYaml, valueOf } from "./model.js";
 import { endsAt, targetAt } from "./machine.js";
 import { MachineView } from "./scene.js";
 import { write } from "./view.js";
@@ -14,7 +14,7 @@ import { write } from "./view.js";
 const $ = (id) => document.getElementById(id);
 const SETTLE = 300; // milliseconds of rest after which the address follows
 
-let state = fromAddress(location.hash || start);
+let { state, ignored } = readAddress(location.hash || start);
 let result = null;
 let reference = null;
 let share = 1; // of the run's time that is shown
@@ -33,6 +33,7 @@ function change(how, final = true) {
     return;
   }
   if (next === state) return;
+  ignored = [];
   const other = next.preset !== state.preset;
   state = next;
   run();
@@ -40,6 +41,13 @@ function change(how, final = true) {
   refresh();
   clearTimeout(addressTimer);
   addressTimer = setTimeout(() => history.replaceState(null, "", toAddress(state)), final ? 0 : SETTLE);
+}
+
+/** Shows what an address says. */
+function goTo(address) {
+  const { state: found, ignored: left } = readAddress(address);
+  change(() => found);
+  ignored = left;
 }
 
 const run = () => runner?.run(drawn(state), { asked: performance.now(), state });
@@ -64,14 +72,14 @@ function answer(message, tag) {
   $("busy").hidden = true;
   if (message.refusal) {
     document.body.classList.add("stale");
-    say(message.known ? message.refusal : `The core failed: ${message.refusal}`);
+    say(message.known ? message.refusal : `The core failed: ${message.refusal}`, ...ignored);
     globalThis.explorer.refusal = message.refusal;
     globalThis.explorer.shown = toAddress(tag.state);
     return;
   }
   globalThis.explorer.refusal = null;
   document.body.classList.remove("stale");
-  say("");
+  say(...ignored);
   const before = result;
   result = message.result;
   show();
@@ -80,7 +88,8 @@ function answer(message, tag) {
   globalThis.explorer.shown = toAddress(tag.state);
 }
 
-function say(words) {
+function say(...sentences) {
+  const words = sentences.join(". ");
   write($("message"), words);
   $("message").hidden = !words;
 }
@@ -247,7 +256,7 @@ $("map-section").addEventListener("toggle", () => {
   if ($("map-section").open) map.show(state);
 });
 addEventListener("hashchange", () => {
-  if (toAddress(state) !== location.hash) change(() => fromAddress(location.hash));
+  if (toAddress(state) !== location.hash) goTo(location.hash);
 });
 addEventListener("resize", () => result && at(share));
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => result && requestAnimationFrame(show));
@@ -295,9 +304,9 @@ globalThis.explorer = {
   latencies,
   refusal: null,
   shown: null,
-  go: (address) => change(() => fromAddress(address)),
-  full: (address) => full(address ? fromAddress(address) : state),
-  yaml: (address) => toYaml(address ? fromAddress(address) : state),
+  go: goTo,
+  full: (address) => full(address ? readAddress(address).state : state),
+  yaml: (address) => toYaml(address ? readAddress(address).state : state),
   ends: (row) => endsAt(result, row)?.map((end) => end.toArray()) ?? null,
   target: (row) => targetAt(result, row).map((point) => point.toArray()),
   viewer: () => scene.viewpoint.camera.position.toArray(),

@@ -623,11 +623,26 @@ def test_halves_of_a_gain_are_named_after_what_they_are(visit: Visit) -> None:
 
 @in_browser
 def test_an_address_with_what_is_unknown_is_read_as_far_as_it_goes(visit: Visit) -> None:
-    end = visit.go("#nosuch&nokey=3&uncertainty.depth=abc&uncertainty.gravity=0.01&constructor=1")
+    end = visit.go("#nosuch&nokey=3&uncertainty.depth=abc&uncertainty.gravity=0.01&constructor=1&alone")
     assert end["refusal"] is None
     assert visit.page.evaluate("explorer.state") == {"preset": "paper", "changes": {"uncertainty.gravity": 0.01}} or (
         visit.page.evaluate("Object.keys(explorer.state.changes)") == ["uncertainty.gravity"]
     )
+    assert visit.page.locator("#message").inner_text().split(". ") == [
+        'address: expected a scenario of the list, got "nosuch": this is paper',
+        'address: expected a key of "All parameters", got "nokey": left out',
+        'uncertainty.depth: expected numbers, got "abc": left out',
+        'address: expected a key of "All parameters", got "constructor": left out',
+        'address: expected key=value, got "alone": left out',
+    ]
+    visit.go("#paper&controller.switching.kind=implicit&nokey=1")
+    words = visit.page.locator("#message").inner_text()
+    assert words.startswith("controller.switching.kind: ")
+    assert words.endswith('got "nokey": left out')
+    press(visit.page, "uncertainty.gravity", "ArrowRight")
+    assert "nokey" not in visit.page.locator("#message").inner_text()
+    visit.go("#paper")
+    assert visit.page.locator("#message").is_hidden()
 
 
 @in_browser
@@ -636,6 +651,7 @@ def test_an_address_that_was_cut_is_one_of_the_default_preset(browser: Browser, 
     visit = Visit(browser, file, address)
     assert visit.page.evaluate("explorer.state.preset") == "paper"
     assert len(visit.page.evaluate("Object.keys(explorer.state.changes)")) == address.count("&")
+    assert "expected a scenario of the list" in visit.page.locator("#message").inner_text()
     assert visit.problems == []
     visit.context.close()
 
@@ -737,6 +753,7 @@ def test_a_phone_scrolls_in_one_direction_and_names_all_its_controls(browser: Br
     for section in ("#map-section", "#all-keys"):
         page.locator(f"{section} > summary").tap()
     page.locator("#search").fill("latency")
+    assert page.locator("#span").is_visible()
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     rows = page.locator(".key:visible").all_inner_texts()
     assert 2 <= len(rows) < 10
@@ -751,6 +768,17 @@ def test_a_phone_scrolls_in_one_direction_and_names_all_its_controls(browser: Br
     page.wait_for_function("explorer.shown === '#composite-30hz'")
     assert visit.problems == []
     visit.context.close()
+
+
+@in_browser
+def test_lines_of_one_colour_differ_in_their_dash(visit: Visit) -> None:
+    """Ten lines of five points, and eight colours."""
+    visit.go("#reachy-mini")
+    looks = visit.page.locator("#chart-0 + .legend span").evaluate_all(
+        "found => found.map(e => [e.style.getPropertyValue('--colour'), getComputedStyle(e, '::before').background])"
+    )
+    assert len(looks) == len({tuple(look) for look in looks}) == 10
+    assert len({colour for colour, _ in looks}) == 8
 
 
 @in_browser
