@@ -118,6 +118,7 @@ export class Chart {
     plot.ctx.save();
     plot.ctx.strokeStyle = colours().accent;
     plot.ctx.lineWidth = 1.5 * devicePixelRatio;
+    plot.ctx.setLineDash([]);
     plot.ctx.beginPath();
     plot.ctx.moveTo(x, plot.bbox.top);
     plot.ctx.lineTo(x, plot.bbox.top + plot.bbox.height);

@@ -67,6 +67,6 @@ export function passedLimits(state, result) {
   return passed.map((limit) => {
     const [peak, most] = [result.metrics[limit.name], limit.most].map((value) => withUnit(value, unitOfMetric(state, limit)));
     const first = limit.name === "peak_leg_excursion" && result.middle ? firstBeyond(result) : null;
-    return first ? `leg ${first.leg} passes its stroke of ${most} at ${withUnit(first.time, "s")}` : `a leg ${limit.does} ${peak} of ${most}`;
+    return first ? `leg ${first.leg} passes its stroke of ${most} at ${withUnit(first.time, "s", 3)}` : `a leg ${limit.does} ${peak} of ${most}`;
   });
 }

@@ -25,6 +25,7 @@ from hexservo import _core
 from hexservo.cli.commands import app
 from hexservo.report import explorer
 from hexservo.report.explorer import ExplorerError, built_for, checked_page, explorer_page, write_explorer
+from hexservo.run.leg_limits import leg_limits
 from hexservo.run.metrics import METRICS
 from hexservo.run.publish import OutputError
 from hexservo.run.variant import load_kernel
@@ -170,6 +171,8 @@ def test_packaged_scenarios_end_as_in_the_package(visit: Visit) -> None:
         if not math.isnan(settled):
             assert settles == pytest.approx(settled, rel=0.05, abs=0.02), name
         assert end["metrics"]["peak_error"] == pytest.approx(expected["peak_error"], rel=0.02), name
+        passed = any(expected[limit.metric] > limit.value for limit in leg_limits(scenario))
+        assert (", but " in visit.page.locator("#verdict").inner_text()) == passed, name
 
 
 @in_browser
