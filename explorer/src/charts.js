@@ -1,7 +1,7 @@
 /** Quantities against time. */
 import uPlot from "uplot";
 import { axisNumber, readable } from "./format.js";
-import { colours, lineColour } from "./view.js";
+import { colours, isDashed, lineColour } from "./view.js";
 
 const AXES = ["x", "y", "z", "about x", "about y", "about z"];
 const legs = (_, i) => `leg ${i + 1}`;
@@ -77,7 +77,7 @@ export class Chart {
     const { name } = FIGURES[this.figure];
     const colour = colours();
     const axis = { stroke: colour.faint, grid: { stroke: colour.line, width: 1 }, ticks: { show: false }, font: "11px system-ui, sans-serif", size: 26, values: (_, splits) => splits.map((value) => (value === null ? "" : axisNumber(value))) };
-    const series = data.slice(1).map((_, i) => ({ label: name(null, i), stroke: lineColour(i), width: 1.4, points: { show: false } }));
+    const series = data.slice(1).map((_, i) => ({ label: name(null, i), stroke: lineColour(i), dash: isDashed(i) ? [6, 4] : undefined, width: 1.4, points: { show: false } }));
     this.plot = new uPlot(
       {
         ...this.size(),
@@ -101,9 +101,10 @@ export class Chart {
     this.legend = document.createElement("div");
     this.legend.className = "legend";
     this.legend.append(
-      ...series.map(({ label, stroke }) => {
+      ...series.map(({ label, stroke, dash }) => {
         const item = document.createElement("span");
         item.textContent = label;
+        item.classList.toggle("dashed", dash !== undefined);
         item.style.setProperty("--colour", stroke);
         return item;
       }),
@@ -117,6 +118,7 @@ export class Chart {
     plot.ctx.save();
     plot.ctx.strokeStyle = colours().accent;
     plot.ctx.lineWidth = 1.5 * devicePixelRatio;
+    plot.ctx.setLineDash([]);
     plot.ctx.beginPath();
     plot.ctx.moveTo(x, plot.bbox.top);
     plot.ctx.lineTo(x, plot.bbox.top + plot.bbox.height);

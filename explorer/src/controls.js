@@ -19,48 +19,80 @@ export { element };
 const GAIN_DECADES = 1.5;
 const NAMED = { "controller.switching.kind": "switching", "actuators.kind": "drives take", "target.motion.kind": "motion" };
 
-/** A slider of one number, or of equal entries of an array. */
-function slider(state, key, { label, from = 0, to = undefined, min, max, step = 0, log = false, mark = "" }) {
-  const entry = (value) => (Array.isArray(value) ? value[from] : value);
+/** A slider of one number, or of entries of an array: it sets equal ones, and moves different ones together. */
+function slider(state, key, { label, from = 0, to = Infinity, min, max, step = 0, log = false, percent = false, mark = "" }) {
   const spec = keyOf[key];
   const unit = spec.unit.includes(";") ? spec.unit.split(";")[from >= 3 ? 1 : 0].trim() : spec.unit;
+  const entries = (value) => (Array.isArray(value) ? value.slice(from, to) : [value ?? 0]);
+  const before = entries(presetValue(state.preset, key));
+  const current = entries(valueOf(state, key));
+  const put = (now, numbers) => {
+    const old = valueOf(now, key);
+    return changed(now, key, Array.isArray(old) ? old.map((x, i) => numbers[i - from] ?? x) : numbers[0]);
+  };
+  const isMixed = [before, current].some((numbers) => numbers.some((x) => x !== numbers[0]));
+  const { get, move, ...others } = !isMixed ? COMMON : log ? factorOf(before) : shiftOf(current, min, max);
   return {
     key,
     id: key + mark,
-    label,
     unit,
     min,
     max,
     step,
     log,
-    get: (now) => entry(valueOf(now, key)) ?? 0,
-    reset: entry(presetValue(state.preset, key)) ?? 0,
-    set: (now, number) => {
-      const old = valueOf(now, key);
-      const value = Array.isArray(old) ? old.map((x, i) => (i >= from && i < (to ?? old.length) ? number : x)) : number;
-      return changed(now, key, value);
-    },
+    percent,
+    ...others,
+    label: label + (others.suffix ?? ""),
+    get: (now) => get(entries(valueOf(now, key))),
+    set: (now, number) => put(now, move(entries(valueOf(now, key)), number)),
+    range: (now) => [Math.min, Math.max].map((most) => most(...entries(valueOf(now, key)))),
+    differs: (now) => !same(entries(valueOf(now, key)), before),
+    reset: (now) => put(now, before),
   };
+}
+
+/** How a slider reads and sets equal entries. */
+const COMMON = { get: ([x]) => x, move: (numbers, number) => numbers.map(() => number) };
+
+/** How it moves different errors: all by as much, as far as each stays within the bounds. */
+function shiftOf(current, min, max) {
+  const tidy = (x) => Math.round(1e9 * x) / 1e9;
+  const mean = (numbers) => tidy(numbers.reduce((sum, x) => sum + x, 0) / numbers.length);
+  const [below, above] = [mean(current) - Math.min(...current), Math.max(...current) - mean(current)];
+  const move = (numbers, number) => numbers.map((x) => tidy(x + number - mean(numbers)));
+  return { get: mean, move, min: rounded(min + below, 6), max: rounded(max - above, 6), suffix: ", mean", shifts: true };
+}
+
+/** How it moves different gains: all by one factor of the preset's; their ratios stay where others were set. */
+function factorOf(before) {
+  const largest = before.reduce((best, x, i) => (Math.abs(x) > Math.abs(before[best]) ? i : best), 0);
+  const get = (numbers) => rounded(numbers[largest] / before[largest], 4);
+  const move = (numbers, number) => {
+    const old = get(numbers);
+    const isPresets = numbers.every((x, i) => Math.abs(x - old * before[i]) <= 1e-3 * Math.abs(x));
+    const [from, factor] = isPresets ? [before, number] : [numbers, number / old];
+    return factor === 1 ? from : from.map((x) => rounded(factor * x, 6));
+  };
+  const spread = 10 ** GAIN_DECADES;
+  return { get, move, min: 1 / spread, max: spread, unit: "", suffix: ", factor", isFactor: true };
 }
 
 /** Sliders of a gain, on a logarithmic scale about its value in the preset; of six entries one for each half. */
 function gainSliders(state, spec) {
-  const value = presetValue(state.preset, spec.key);
+  const value = [presetValue(state.preset, spec.key)].flat();
   const leaf = spec.key.split(".").slice(2).join(" ").replaceAll("_", " ");
-  const one = (number, more) => {
-    const size = Math.abs(number);
+  const one = (numbers, more) => {
+    const size = Math.max(...numbers.map(Math.abs));
     if (!(size > 0) || !Number.isFinite(size)) return [];
     const spread = 10 ** GAIN_DECADES;
     const most = spec.maximum ?? Infinity;
     return [slider(state, spec.key, { ...more, min: size / spread, max: Math.min(size * spread, most), log: true })];
   };
-  if (!Array.isArray(value)) return one(value, { label: leaf });
-  if (value.length !== 6) return value.every((x) => x === value[0]) ? one(value[0], { label: leaf }) : [];
-  const halves = [value.slice(0, 3), value.slice(3)];
-  if (!halves.every((half) => half.every((x) => x === half[0]))) return [];
+  if (value.length !== 6) return one(value, { label: leaf });
+  const [linear, angular] = spec.unit.startsWith("N") ? ["force", "moment"] : ["translation", "rotation"];
   return [
-    ...one(value[0], { label: `${leaf}, force`, from: 0, to: 3, mark: "/linear" }),
-    ...one(value[3], { label: `${leaf}, moment`, from: 3, to: 6, mark: "/angular" }),
+    ...one(value.slice(0, 3), { label: `${leaf}, ${linear}`, from: 0, to: 3, mark: "/linear" }),
+    ...one(value.slice(3), { label: `${leaf}, ${angular}`, from: 3, to: 6, mark: "/angular" }),
   ];
 }
 
@@ -84,7 +116,7 @@ export function groups(state) {
   const sampled = valueOf(state, "simulation.mode") === "sampled";
   const step = valueOf(state, "simulation.step");
   const has = (key) => keyOf[key] !== undefined;
-  const relative = (key, label, more = {}) => (has(key) ? [slider(state, key, { label, min: -0.5, max: 0.5, step: 0.005, ...more })] : []);
+  const relative = (key, label, more = {}) => (has(key) ? [slider(state, key, { label, min: -0.5, max: 0.5, step: 0.005, percent: true, ...more })] : []);
   const gains = keysOf(law).filter(({ key, type }) => key.startsWith(`controller.${law}.`) && (type === "number" || type === "array"));
   const main = gains.filter(({ key }) => !key.includes(".fuzzy."));
   const fuzzy = gains.filter(({ key }) => /fuzzy\.(adaptation|error_scale|rate_scale|leakage|weight_limit)$/.test(key));
@@ -138,12 +170,18 @@ export function fromPlace({ min, max, log, step }, place) {
   return step ? rounded(Math.round(raw / step) * step) : rounded(raw);
 }
 
-const shown = (entry, value) => {
+/** A value of a slider, with its unit. */
+export const shown = (entry, value) => {
+  if (entry.isFactor) return `× ${short(value, 3)}`;
+  if (entry.percent) return `${short(100 * value, 3)} %`;
   const [name, scale] = entry.unit === "s" && entry.max <= 1 ? ["ms", 1e3] : readable(entry.unit);
   const unit = name.replaceAll("^2", "²");
   const space = unit && unit !== "°" ? " " : "";
-  return entry.unit === "1" && entry.min < 0 ? `${short(100 * value, 3)} %` : `${short(value * scale, 3)}${space}${unit}`;
+  return `${short(value * scale, 3)}${space}${unit}`;
 };
+
+/** What a slider stands at, with the range of entries that it shifts. */
+const told = (entry, state) => shown(entry, entry.get(state)) + (entry.shifts ? ` (${entry.range(state).map((x) => shown(entry, x)).join(" to ")})` : "");
 
 // --- the panel of sliders
 
@@ -160,7 +198,7 @@ export class Controls {
 
   show(state) {
     const now = groups(state);
-    const shape = state.preset + JSON.stringify(now.map(([title, , entries]) => [title, entries.map((entry) => [entry.id ?? entry.key, entry.min, entry.max])]));
+    const shape = state.preset + JSON.stringify(now.map(([title, , entries]) => [title, entries.map((entry) => [entry.id ?? entry.key, entry.label, entry.min, entry.max])]));
     if (shape !== this.shape) this.build(state, now);
     this.shape = shape;
     for (const update of this.updates) update(state);
@@ -184,17 +222,17 @@ export class Controls {
     const id = `slider-${entry.id}`;
     const output = element("output", { for: id });
     const set = (final) => () => this.change((state) => entry.set(state, fromPlace(entry, input.value / FINE)), final);
-    const step = entry.step && !entry.log ? (FINE * entry.step) / (entry.max - entry.min) : 1;
+    const step = entry.step && !entry.log ? Math.floor((1e6 * FINE * entry.step) / (entry.max - entry.min)) / 1e6 : 1; // a whole number of them reaches the end
     const input = element("input", { type: "range", id, min: 0, max: FINE, step, "data-id": entry.id, oninput: set(false), onchange: set(true) });
-    const reset = element("button", { type: "button", class: "reset", title: "back to the preset", "aria-label": `${entry.label}: back to the preset`, onclick: () => this.change((state) => entry.set(state, entry.reset), true) }, "↺");
+    const reset = element("button", { type: "button", class: "reset", title: "back to the preset", "aria-label": `${entry.label}: back to the preset`, onclick: () => this.change((state) => entry.reset(state), true) }, "↺");
     this.updates.push((state) => {
       const value = entry.get(state);
       const place = Math.max(0, Math.min(1, toPlace(entry, value)));
       if (document.activeElement !== input || Math.abs(fromPlace(entry, input.value / FINE) - value) > 1e-9 * Math.abs(value)) input.value = FINE * place;
-      const text = shown(entry, value);
+      const text = told(entry, state);
       if (output.textContent !== text) input.setAttribute("aria-valuetext", text);
       write(output, text);
-      const differs = !same(value, entry.reset);
+      const differs = entry.differs(state);
       reset.style.visibility = differs ? "visible" : "hidden";
       row.classList.toggle("changed", differs);
     });

@@ -4,8 +4,9 @@ import { Controls, KeyList, element } from "./controls.js";
 import { Runner } from "./engine.js";
 import { short, withUnit } from "./format.js";
 import { ImageView } from "./image.js";
+import { middles, passedLimits, unitOfMetric } from "./limits.js";
 import { ParameterMap } from "./map.js";
-import { changed, drawn, fromAddress, full, laws, metrics, presetOf, presets, start, toAddress, toYaml, valueOf } from "./model.js";
+import { changed, drawn, full, laws, metrics, presetOf, presets, readAddress, start, toAddress, toYaml, valueOf } from "./model.js";
 import { endsAt, targetAt } from "./machine.js";
 import { MachineView } from "./scene.js";
 import { write } from "./view.js";
@@ -13,7 +14,7 @@ import { write } from "./view.js";
 const $ = (id) => document.getElementById(id);
 const SETTLE = 300; // milliseconds of rest after which the address follows
 
-let state = fromAddress(location.hash || start);
+let { state, ignored } = readAddress(location.hash || start);
 let result = null;
 let reference = null;
 let share = 1; // of the run's time that is shown
@@ -32,6 +33,7 @@ function change(how, final = true) {
     return;
   }
   if (next === state) return;
+  ignored = [];
   const other = next.preset !== state.preset;
   state = next;
   run();
@@ -39,6 +41,13 @@ function change(how, final = true) {
   refresh();
   clearTimeout(addressTimer);
   addressTimer = setTimeout(() => history.replaceState(null, "", toAddress(state)), final ? 0 : SETTLE);
+}
+
+/** Shows what an address says. */
+function goTo(address) {
+  const { state: found, ignored: left } = readAddress(address);
+  change(() => found);
+  ignored = left;
 }
 
 const run = () => runner?.run(drawn(state), { asked: performance.now(), state });
@@ -63,14 +72,14 @@ function answer(message, tag) {
   $("busy").hidden = true;
   if (message.refusal) {
     document.body.classList.add("stale");
-    say(message.known ? message.refusal : `The core failed: ${message.refusal}`);
+    say(message.known ? message.refusal : `The core failed: ${message.refusal}`, ...ignored);
     globalThis.explorer.refusal = message.refusal;
     globalThis.explorer.shown = toAddress(tag.state);
     return;
   }
   globalThis.explorer.refusal = null;
   document.body.classList.remove("stale");
-  say("");
+  say(...ignored);
   const before = result;
   result = message.result;
   show();
@@ -79,7 +88,8 @@ function answer(message, tag) {
   globalThis.explorer.shown = toAddress(tag.state);
 }
 
-function say(words) {
+function say(...sentences) {
+  const words = sentences.join(". ");
   write($("message"), words);
   $("message").hidden = !words;
 }
@@ -91,6 +101,8 @@ function show() {
   result.weight = gravity.map((g) => -mass * g);
   result.shown = shown();
   result.cranks = cranks();
+  result.stroke = valueOf(state, "robot.stroke");
+  result.middle = middles(state, result);
   result.targetMoves = valueOf(state, "target.motion.kind") !== "none";
   image.show({ ...result, goals: result.scene.goal, movable: pixelsAreFeatures() });
   scene.show(result, down.map((g) => -g));
@@ -136,19 +148,23 @@ function at(next) {
 
 // --- words and numbers
 
-function ending(outcome, values, time, detail = "") {
-  const band = withUnit(valueOf(state, "metrics.band"), "px");
+/** How a run of a state went: good, bad or warn, and a sentence; "but" begins what it does beyond the limits of the legs. */
+function ending(of, { outcome, metrics: values, time, detail, ...rest }) {
   if (outcome !== "completed") return ["bad", `Ends early, ${outcome.replaceAll("_", " ")}${detail ? `: ${detail}` : ""}`];
-  if (!Number.isNaN(values.settling_time)) return ["good", `Settles within ${band} at ${withUnit(values.settling_time, "s")}`];
-  return ["warn", `Does not settle: ${withUnit(values.final_error, "px")} from the goal after ${withUnit(time, "s")}`];
+  const passed = passedLimits(of, { metrics: values, ...rest });
+  const but = passed.length ? `, but ${passed.join(", ")}` : "";
+  const band = withUnit(valueOf(of, "metrics.band"), "px");
+  if (Number.isNaN(values.settling_time)) return ["warn", `Does not settle: ${withUnit(values.final_error, "px")} from the goal after ${withUnit(time, "s")}${but}`];
+  return [but ? "warn" : "good", `Settles within ${band} at ${withUnit(values.settling_time, "s")}${but}`];
 }
 
 function verdict() {
-  const [kind, words] = ending(result.outcome, result.metrics, result.time, result.detail);
+  const [kind, words] = ending(state, result);
   $("verdict").className = `verdict ${kind}`;
   write($("verdict"), words);
   const counts = reference && Object.keys(state.changes).length;
-  write($("against"), counts ? `Preset: ${ending(reference.outcome, reference.metrics, reference.time)[1].replace(/^./, (letter) => letter.toLowerCase())}` : "");
+  const before = counts ? ending({ preset: state.preset, changes: {} }, { ...reference, detail: "" })[1] : "";
+  write($("against"), before && `Preset: ${before.replace(/^./, (letter) => letter.toLowerCase())}`);
   image.canvas.setAttribute("aria-label", `Image plane: paths of ${result.points} features to their goals. ${words}. Arrow keys move a goal, digits choose it.`);
 }
 
@@ -160,7 +176,8 @@ function table() {
     return { name, unit, cells };
   });
   const differs = Object.keys(state.changes).length > 0 && reference;
-  for (const { name, unit, cells } of rows) {
+  for (const { name, unit: known, cells } of rows) {
+    const unit = unitOfMetric(state, { name, unit: known });
     const [value, before] = [result.metrics[name], reference?.metrics[name] ?? NaN];
     cells[0].parentElement.hidden = Number.isNaN(value) && Number.isNaN(before) && name !== "settling_time";
     write(cells[0], withUnit(value, unit));
@@ -239,7 +256,7 @@ $("map-section").addEventListener("toggle", () => {
   if ($("map-section").open) map.show(state);
 });
 addEventListener("hashchange", () => {
-  if (toAddress(state) !== location.hash) change(() => fromAddress(location.hash));
+  if (toAddress(state) !== location.hash) goTo(location.hash);
 });
 addEventListener("resize", () => result && at(share));
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => result && requestAnimationFrame(show));
@@ -287,9 +304,9 @@ globalThis.explorer = {
   latencies,
   refusal: null,
   shown: null,
-  go: (address) => change(() => fromAddress(address)),
-  full: (address) => full(address ? fromAddress(address) : state),
-  yaml: (address) => toYaml(address ? fromAddress(address) : state),
+  go: goTo,
+  full: (address) => full(address ? readAddress(address).state : state),
+  yaml: (address) => toYaml(address ? readAddress(address).state : state),
   ends: (row) => endsAt(result, row)?.map((end) => end.toArray()) ?? null,
   target: (row) => targetAt(result, row).map((point) => point.toArray()),
   viewer: () => scene.viewpoint.camera.position.toArray(),

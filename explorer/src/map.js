@@ -1,7 +1,7 @@
 /** Two keys against each other: a run for every pixel, coarse first. */
-import { element, fromPlace, sliders, toPlace } from "./controls.js";
+import { element, fromPlace, shown, sliders, toPlace } from "./controls.js";
 import { Crew } from "./engine.js";
-import { readable, short, withUnit } from "./format.js";
+import { short, withUnit } from "./format.js";
 import { drawn, metrics, valueOf } from "./model.js";
 import { cleared, colours, isShortcut, pointIn } from "./view.js";
 
@@ -62,7 +62,7 @@ export class ParameterMap {
     if (state !== this.state) this.refusal = "";
     this.state = state;
     const list = sliders(state);
-    const shape = list.map(({ id }) => id).join();
+    const shape = list.map(({ id, label }) => [id, label]).join();
     if (shape !== this.shape) {
       this.shape = shape;
       const gain = list.find(({ log }) => log) ?? list[0];
@@ -210,10 +210,7 @@ export class ParameterMap {
 
   labels(c, width, height, colour) {
     c.fillStyle = colour.faint;
-    const text = (entry, place) => {
-      const [unit, scale] = readable(entry.unit);
-      return entry.unit === "1" && entry.min < 0 ? `${short(100 * fromPlace(entry, place), 3)} %` : `${short(fromPlace(entry, place) * scale, 3)} ${unit}`.trim();
-    };
+    const text = (entry, place) => shown(entry, fromPlace(entry, place));
     const [left, top, wide, high] = this.area;
     for (const share of [0, 0.5, 1]) {
       c.textAlign = share === 0 ? "left" : share === 1 ? "right" : "center";

@@ -72,30 +72,36 @@ export function toAddress(state) {
   return `#${parts.join("&")}`;
 }
 
-/** Text of a part of an address; "" of what was cut within a letter. */
+/** Text of a part of an address; as it stands where it was cut within a letter. */
 function decoded(part) {
   try {
     return decodeURIComponent(part);
   } catch {
-    return "";
+    return part;
   }
 }
 
-/** Keys and values that are not known are left out. */
-export function fromAddress(hash) {
-  const [name, ...parts] = hash.replace(/^#/, "").split("&").filter(Boolean);
-  let state = { preset: presetOf(decoded(name ?? "")).name, changes: {} };
+/**
+ * Reads an address as far as it is understood.
+ * @returns {{state: object, ignored: string[]}} the state, and a sentence for each part that is left out
+ */
+export function readAddress(hash) {
+  const [name = "", ...parts] = hash.replace(/^#/, "").split("&").filter(Boolean).map(decoded);
+  let state = { preset: presetOf(name).name, changes: {} };
+  const ignored = [];
+  if (name && state.preset !== name) ignored.push(`address: expected a scenario of the list, got "${name}": this is ${state.preset}`);
   for (const part of parts) {
     const place = part.indexOf("=");
-    const key = part.slice(0, place);
-    if (place < 1 || !Object.hasOwn(keyOf, key)) continue;
+    const key = part.slice(0, Math.max(place, 0));
     try {
-      state = changed(state, key, parsed(key, decodeURIComponent(part.slice(place + 1)).replaceAll(",", " ")));
-    } catch {
-      continue;
+      if (place < 1) throw new Error(`address: expected key=value, got "${part}"`);
+      if (!Object.hasOwn(keyOf, key)) throw new Error(`address: expected a key of "All parameters", got "${key}"`);
+      state = changed(state, key, parsed(key, part.slice(place + 1).replaceAll(",", " ")));
+    } catch (error) {
+      ignored.push(`${error.message}: left out`);
     }
   }
-  return state;
+  return { state, ignored };
 }
 
 // --- YAML

@@ -1,6 +1,7 @@
 /** The machine in space: base, legs, platform, camera with what it sees, target. Three projects it, and draws it as SVG. */
 import { Color, Plane, Raycaster, Scene, Vector2, Vector3 } from "three";
 import { SVGRenderer } from "three/addons/renderers/SVGRenderer.js";
+import { legsBeyond } from "./limits.js";
 import { endsAt, framesAt, isFinitePoint, mean, positionAt, targetAt, vectors } from "./machine.js";
 import { BEFORE, BEHIND, ball, floor, lights, pane, path, plate, pyramid, rays, rods } from "./shapes.js";
 import { colours, lineColour, pointIn } from "./view.js";
@@ -86,15 +87,17 @@ export class MachineView {
     return way;
   }
 
-  /** Legs to the platform's joints in B: cylinder and rod, or crank and rod. */
+  /** Legs to the platform's joints in B: cylinder and rod, or crank and rod; those beyond their stroke in another colour. */
   legs(joints, row) {
     const { result, scene, base, thick } = this;
-    const { ink, faint, bad, panel } = colours();
+    const { ink, faint, bad, warn, panel } = colours();
     const lost = result.outcome !== "completed" && row === result.rows - 1;
     const cranks = endsAt(result, row);
     const ends = cranks ?? base.map((foot, i) => foot.clone().lerp(joints[i], 0.55));
-    const pairs = (from, to) => from.map((point, i) => [point, to[i]]);
-    scene.add(rods(pairs(base, ends), faint, thick), rods(pairs(ends, joints), lost ? bad : ink, 0.5 * thick));
+    const beyond = legsBeyond(result, row);
+    const pairs = (from, to, wanted) => from.map((point, i) => [point, to[i]]).filter((_, i) => beyond.includes(i) === wanted);
+    scene.add(rods(pairs(base, ends, false), faint, thick), rods(pairs(ends, joints, false), lost ? bad : ink, 0.5 * thick));
+    if (beyond.length) scene.add(rods(pairs(base, ends, true), warn, thick), rods(pairs(ends, joints, true), lost ? bad : warn, 0.5 * thick));
     for (const foot of base) scene.add(ball(foot, 0.6 * thick, faint, panel));
     for (const joint of [...joints, ...(cranks ?? [])].filter(isFinitePoint)) scene.add(ball(joint, 0.5 * thick, ink, panel));
   }

@@ -12,8 +12,11 @@ export function colours() {
 }
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => (palette = null));
 
-/** One colour for each line of a figure. */
-export const lineColour = (i) => colours()[`c${i % 8}`];
+const LINE_COLOURS = 8;
+
+/** One colour for each line of a figure; they begin again after eight, where `isDashed`. */
+export const lineColour = (i) => colours()[`c${i % LINE_COLOURS}`];
+export const isDashed = (i) => Math.floor(i / LINE_COLOURS) % 2 === 1;
 
 /** Writes a text where it is another one: what stays the same need not be laid out again. */
 export function write(node, text) {

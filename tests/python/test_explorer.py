@@ -25,6 +25,7 @@ from hexservo import _core
 from hexservo.cli.commands import app
 from hexservo.report import explorer
 from hexservo.report.explorer import ExplorerError, built_for, checked_page, explorer_page, write_explorer
+from hexservo.run.leg_limits import leg_limits
 from hexservo.run.metrics import METRICS
 from hexservo.run.publish import OutputError
 from hexservo.run.variant import load_kernel
@@ -170,6 +171,8 @@ def test_packaged_scenarios_end_as_in_the_package(visit: Visit) -> None:
         if not math.isnan(settled):
             assert settles == pytest.approx(settled, rel=0.05, abs=0.02), name
         assert end["metrics"]["peak_error"] == pytest.approx(expected["peak_error"], rel=0.02), name
+        passed = any(expected[limit.metric] > limit.value for limit in leg_limits(scenario))
+        assert (", but " in visit.page.locator("#verdict").inner_text()) == passed, name
 
 
 @in_browser
@@ -275,6 +278,38 @@ def test_the_target_is_drawn_where_it_is(visit: Visit, name: str, kind: str) -> 
             }[kind]
             expected = points + way
         np.testing.assert_allclose(found["target"], expected, rtol=0, atol=1e-9)
+
+
+@in_browser
+def test_a_run_beyond_a_limit_of_the_legs_is_not_called_good(visit: Visit) -> None:
+    """The sentence has the first event of the package, and legs beyond their stroke have the colour of a warning."""
+    page = visit.page
+    warned = """() => {
+      const rgb = document.createElement('i');
+      rgb.style.color = 'var(--warn)';
+      document.body.append(rgb);
+      const colour = getComputedStyle(rgb).color;
+      rgb.remove();
+      return [...document.querySelectorAll('#scene path')].filter(
+        path => path.style.stroke === colour && parseFloat(path.style.strokeWidth) > 2
+      ).length;
+    }"""
+    visit.go("#paper")
+    assert page.locator("#verdict").get_attribute("class") == "verdict good"
+    assert page.evaluate(warned) == 0
+    visit.go("#fails-unequal-depth")
+    first = hs.simulate(hs.load_scenario("fails-unequal-depth")).events[0]
+    words = page.locator("#verdict").inner_text()
+    said = re.search(r", but leg (\d) passes its stroke of 17 mm at ([\d.]+) s$", words)
+    assert said is not None, words
+    assert int(said[1]) == first.leg
+    assert float(said[2]) == pytest.approx(first.time, abs=0.005)
+    assert page.locator("#verdict").get_attribute("class") == "verdict warn"
+    assert page.evaluate(warned) > 0
+    visit.go("#paper&robot.force_limit=0.05")
+    assert "but a leg takes a force of" in page.locator("#verdict").inner_text()
+    visit.go("#reachy-mini&robot.stroke=0.1")
+    assert re.search(r"but leg \d passes its stroke of 5\.73°? at", page.locator("#verdict").inner_text())
 
 
 DISCS = """colours => colours.map(colour => {
@@ -514,13 +549,104 @@ def test_changes_are_in_the_address_and_in_the_yaml(visit: Visit, browser: Brows
     assert visit.end()["metrics"] == pytest.approx(before["metrics"], rel=0, abs=0, nan_ok=True)
 
 
+def press(page: Page, slider: str, key: str) -> None:
+    """Move a slider by a key, and wait for the run."""
+    page.evaluate("explorer.shown = null")
+    page.locator(f'[data-id="{slider}"]').press(key)
+    page.wait_for_function("explorer.shown !== null")
+
+
+def told(page: Page, slider: str) -> tuple[str, str]:
+    """Label and value of a slider."""
+    row = page.locator(".slider", has=page.locator(f'[data-id="{slider}"]'))
+    return row.locator("label").inner_text(), row.locator("output").inner_text()
+
+
+@in_browser
+def test_a_slider_of_different_errors_shifts_them_all(visit: Visit) -> None:
+    page = visit.page
+    depth = "uncertainty.depth"
+    visit.go("#fails-unequal-depth")
+    assert told(page, depth) == ("depth, mean", "15 % (-30 % to 30 %)")
+    press(page, depth, "ArrowRight")
+    assert page.evaluate("explorer.state.changes") == {depth: [0.305, 0.305, -0.295, 0.305]}
+    press(page, depth, "ArrowLeft")
+    assert page.evaluate("explorer.state.changes") == {}
+    press(page, depth, "End")
+    assert page.evaluate("explorer.state.changes") == {depth: [0.9, 0.9, 0.3, 0.9]}
+    page.locator(".slider.changed .reset").click()
+    page.wait_for_function("explorer.shown === '#fails-unequal-depth'")
+    visit.go("#paper&uncertainty.depth=0.1,0.2,0.1,0.2")
+    assert told(page, depth) == ("depth, mean", "15 % (10 % to 20 %)")
+    page.locator(".slider.changed .reset").click()
+    page.wait_for_function("explorer.shown === '#paper'")
+    assert told(page, depth) == ("depth", "30 %")
+
+
+@in_browser
+def test_a_slider_of_different_gains_multiplies_them_all(visit: Visit) -> None:
+    page = visit.page
+    kp = "controller.pbvs.kp/angular"
+    visit.go("#fails-unequal-depth")
+    assert told(page, kp) == ("kp, moment, factor", "× 1")
+    press(page, kp, "End")
+    assert page.evaluate("explorer.state.changes['controller.pbvs.kp']") == pytest.approx(
+        [24, 24, 24, 0.06 * 10**1.5, 0.06 * 10**1.5, 0.12 * 10**1.5], rel=1e-4
+    )
+    page.locator(".slider.changed .reset").click()
+    page.wait_for_function("explorer.shown === '#fails-unequal-depth'")
+    for address, kinds in {
+        "#paper&controller.law=pbvs": ("kp", "kd", "prior"),
+        "#paper&controller.law=kelly": ("kp", "kd"),
+        "#paper&controller.law=composite": ("kp", "kv", "kt", "kd", "drive", "prior"),
+        "#moog-6dof2000e": ("kp", "kv", "kt", "kd", "drive", "prior"),
+    }.items():
+        visit.go(address)
+        keys = set(page.locator("#controls input[type=range]").evaluate_all("found => found.map(e => e.dataset.id)"))
+        law = page.evaluate("explorer.full()['controller.law']")
+        for kind in kinds:
+            halves = [""] if kind == "kp" and law != "pbvs" else ["/linear", "/angular"]
+            assert {f"controller.{law}.{kind}{half}" for half in halves} <= keys, (address, kind)
+
+
+@in_browser
+def test_halves_of_a_gain_are_named_after_what_they_are(visit: Visit) -> None:
+    """Forces and moments where that is their unit, else translation and rotation."""
+    visit.go("#paper-composite")
+    for kind, linear, angular in (
+        ("kt", "kt, force", "kt, moment, factor"),
+        ("drive", "drive, translation", "drive, rotation"),
+        ("prior", "prior, translation", "prior, rotation"),
+    ):
+        names = [told(visit.page, f"controller.composite.{kind}/{half}")[0] for half in ("linear", "angular")]
+        assert names == [linear, angular], kind
+    visit.go("#reachy-mini-motors")
+    assert told(visit.page, "controller.tracking.acceleration/linear")[0] == "acceleration, translation"
+    assert told(visit.page, "controller.tracking.acceleration/angular")[0] == "acceleration, rotation"
+
+
 @in_browser
 def test_an_address_with_what_is_unknown_is_read_as_far_as_it_goes(visit: Visit) -> None:
-    end = visit.go("#nosuch&nokey=3&uncertainty.depth=abc&uncertainty.gravity=0.01&constructor=1")
+    end = visit.go("#nosuch&nokey=3&uncertainty.depth=abc&uncertainty.gravity=0.01&constructor=1&alone")
     assert end["refusal"] is None
     assert visit.page.evaluate("explorer.state") == {"preset": "paper", "changes": {"uncertainty.gravity": 0.01}} or (
         visit.page.evaluate("Object.keys(explorer.state.changes)") == ["uncertainty.gravity"]
     )
+    assert visit.page.locator("#message").inner_text().split(". ") == [
+        'address: expected a scenario of the list, got "nosuch": this is paper',
+        'address: expected a key of "All parameters", got "nokey": left out',
+        'uncertainty.depth: expected numbers, got "abc": left out',
+        'address: expected a key of "All parameters", got "constructor": left out',
+        'address: expected key=value, got "alone": left out',
+    ]
+    visit.go("#paper&controller.switching.kind=implicit&nokey=1")
+    words = visit.page.locator("#message").inner_text()
+    assert words.startswith("controller.switching.kind: ")
+    assert words.endswith('got "nokey": left out')
+    press(visit.page, "uncertainty.gravity", "ArrowRight")
+    assert "nokey" not in visit.page.locator("#message").inner_text()
+    visit.go("#paper")
+    assert visit.page.locator("#message").is_hidden()
 
 
 @in_browser
@@ -529,6 +655,7 @@ def test_an_address_that_was_cut_is_one_of_the_default_preset(browser: Browser, 
     visit = Visit(browser, file, address)
     assert visit.page.evaluate("explorer.state.preset") == "paper"
     assert len(visit.page.evaluate("Object.keys(explorer.state.changes)")) == address.count("&")
+    assert "expected a scenario of the list" in visit.page.locator("#message").inner_text()
     assert visit.problems == []
     visit.context.close()
 
@@ -630,6 +757,7 @@ def test_a_phone_scrolls_in_one_direction_and_names_all_its_controls(browser: Br
     for section in ("#map-section", "#all-keys"):
         page.locator(f"{section} > summary").tap()
     page.locator("#search").fill("latency")
+    assert page.locator("#span").is_visible()
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     rows = page.locator(".key:visible").all_inner_texts()
     assert 2 <= len(rows) < 10
@@ -644,6 +772,17 @@ def test_a_phone_scrolls_in_one_direction_and_names_all_its_controls(browser: Br
     page.wait_for_function("explorer.shown === '#composite-30hz'")
     assert visit.problems == []
     visit.context.close()
+
+
+@in_browser
+def test_lines_of_one_colour_differ_in_their_dash(visit: Visit) -> None:
+    """Ten lines of five points, and eight colours."""
+    visit.go("#reachy-mini")
+    looks = visit.page.locator("#chart-0 + .legend span").evaluate_all(
+        "found => found.map(e => [e.style.getPropertyValue('--colour'), getComputedStyle(e, '::before').background])"
+    )
+    assert len(looks) == len({tuple(look) for look in looks}) == 10
+    assert len({colour for colour, _ in looks}) == 8
 
 
 @in_browser

@@ -38,6 +38,7 @@ from hexservo.run.publish import OutputError
 from hexservo.run.samples import parts
 from hexservo.run.summary import summary_sentences
 from hexservo.scenario.parameters import core_parameters
+from hexservo.scenario.pixels import to_pixels
 from hexservo.scenario.wording import joules, number
 from test_leg_limits import METRICS as OF_LIMITS
 
@@ -318,7 +319,7 @@ def test_the_chart_of_the_image_has_its_shape_and_its_border() -> None:
     charts = specs(page(run))
     layout = charts["Paths of the features"]["layout"]
     (border,) = layout["shapes"]
-    assert [border[side] for side in ("x0", "x1", "y0", "y1")] == [-320, 320, -240, 240]
+    assert border["path"] == "M320 240L-320 240L-320 -240L320 -240Z"
     assert layout["aspect"] == pytest.approx(480 / 640)
     for axis, half in (("xaxis", 320), ("yaxis", 240)):
         low, high = layout[axis]["range"]
@@ -330,6 +331,33 @@ def test_the_chart_of_the_image_has_its_shape_and_its_border() -> None:
     plain = specs(page(hs.simulate(hs.load_scenario("paper").updated({"simulation.duration": 0.1}))))
     assert "shapes" not in plain["Paths of the features"]["layout"]
     assert "The same paths, magnified" not in plain
+
+
+@pytest.mark.parametrize("lens", [{}, {"camera.distortion.brown_conrady": [0.1, 0.0, 0.001, -0.002, 0.0]}])
+def test_the_border_of_an_image_is_where_its_lens_puts_it(lens: dict[str, Any]) -> None:
+    """Principal point, two focal lengths, axes, distortion: in the view in space and in the chart of the paths."""
+    run = hs.simulate(hs.load_scenario("reachy-mini").updated({"simulation.duration": 0.1, **lens}))
+    view, text = scene(run), page(run)
+    features = view.border[:, :2] * view.pixels_per_metre
+    pixels = to_pixels(run.scenario, features)
+    from_edge = np.abs(np.abs(pixels - [159.5, 89.5]) - [160, 90]).min(axis=1)
+    np.testing.assert_allclose(from_edge, 0, atol=1e-9)
+    np.testing.assert_allclose(
+        to_pixels(run.scenario, view.corners[:, :2] * view.pixels_per_metre),
+        [[319.5, 179.5], [-0.5, 179.5], [-0.5, -0.5], [319.5, -0.5]],
+        atol=1e-9,
+    )
+    assert "Camera image (320 x 180 px, y up)" in words_of(text)
+    layout = specs(text)["Paths of the features"]["layout"]
+    line = [[float(number) for number in place.split()] for place in layout["shapes"][0]["path"][1:-1].split("L")]
+    np.testing.assert_allclose(line, features, atol=1e-3)
+    assert layout["aspect"] == pytest.approx(np.divide(*np.ptp(features, axis=0)[::-1]))
+
+
+def test_a_view_of_features_alone_states_no_size_of_an_image() -> None:
+    run = hs.simulate(hs.load_scenario("paper").updated({"simulation.duration": 0.02}))
+    half = 1.2 * max(np.abs(run.features).max(), np.abs(np.asarray(run.scenario.target.desired_features)).max())
+    assert f"Camera image (features, ±{half:.4g} px shown, y up)" in words_of(page(run))
 
 
 # ---- Pages of the documentation -------------------------------------------------------------------------------------

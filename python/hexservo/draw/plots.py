@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Rectangle
+from matplotlib.patches import Polygon
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
@@ -244,8 +244,9 @@ def feature_paths(result: Result, *, ax: Axes | None = None) -> Figure | Axes:
     """Draw the paths of the features in the image plane in px, axes equal, figure 3.
 
     The arrow is the initial direction of each feature. y points up, as in (4), looking along the optical axis.
-    If ``camera.image_size`` is given, the axes have the aspect ratio and the border of the image; if the paths take a
-    small part of the image, a second panel magnifies them.
+    If ``camera.image_size`` is given, the axes have the aspect ratio and the border of the image, as lens, principal
+    point and focal lengths place it among features; if the paths take a small part of the image, a second panel
+    magnifies them.
 
     Parameters
     ----------
@@ -454,19 +455,7 @@ def _draw_paths(axes: Axes, result: Result, view: ImageView, *, named: bool = Tr
     axes.set_ylim(*view.limits[1])
     axes.set_aspect("equal", adjustable="box")
     if view.border is not None:
-        width, height = view.border
-        axes.add_patch(
-            Rectangle(
-                (-width / 2, -height / 2),
-                width,
-                height,
-                fill=False,
-                edgecolor=GREY,
-                linewidth=0.8,
-                gid="border",
-                zorder=1.5,
-            )
-        )
+        axes.add_patch(Polygon(view.border, fill=False, edgecolor=GREY, linewidth=0.8, gid="border", zorder=1.5))
     half = float(view.half.min())
     corner_of = farther_apart(features[0], features[-1], 0.16 * half)
     for number, (path, goal) in enumerate(zip(features.swapaxes(0, 1), goals, strict=True), start=1):

@@ -190,11 +190,11 @@ def _paths_in(result: Result, view: ImageView, title: str, *, wide: bool) -> Htm
     for axis, limits in zip(("xaxis", "yaxis"), view.limits, strict=True):
         layout[axis]["range"] = limits
     note = ""
-    if view.border is not None:
-        width, height = view.border
-        corners = {"x0": -width / 2, "x1": width / 2, "y0": -height / 2, "y1": height / 2}
-        layout["shapes"] = [{"type": "rect", **corners, "line": {"color": "@grey", "width": 1.2}}]
-        note = f"Grey: border of the image, {width:g} x {height:g} px." if title == _PATHS else ""
+    image_size = result.scenario.camera.image_size
+    if view.border is not None and image_size is not None:
+        line = "L".join(f"{x:.6g} {y:.6g}" for x, y in view.border)
+        layout["shapes"] = [{"type": "path", "path": f"M{line}Z", "line": {"color": "@grey", "width": 1.2}}]
+        note = f"Grey: border of the image, {image_size[0]:g} x {image_size[1]:g} px." if title == _PATHS else ""
     layout["yaxis"] |= {"scaleanchor": "x", "constrain": "domain"}
     layout["xaxis"] |= {"constrain": "domain"}
     layout |= {"maxWidth": 620, "aspect": float(view.half[1] / view.half[0])}

@@ -143,10 +143,14 @@ def _space(seen: SpaceView) -> Html:
         f"dots are features, squares their goals, lines the paths so far. {targets} The axis z of B points "
         f"{'down' if seen.z_down else 'up'}; the view is upright. "
     )
-    width, height = 2 * np.abs(seen.corners[:, :2]).max(axis=0) * seen.pixels_per_metre
+    shown = (
+        f"features, ±{np.abs(seen.border[:, :2]).max() * seen.pixels_per_metre:.4g} px shown"
+        if seen.size is None
+        else f"{seen.size[0]:g} x {seen.size[1]:g} px"
+    )
     image = element(
         "div",
-        element("p", f"Camera image ({width:.4g} x {height:.4g} px, y up)"),
+        element("p", f"Camera image ({shown}, y up)"),
         Html('<svg id="image" role="img" aria-label="The image at the selected instant"></svg>'),
         class_="image",
     )

@@ -163,7 +163,7 @@
     function moving(frame) {
       const camera = placed(frame, [0, 0, 0]);
       const joints = [0, 1, 2, 3, 4, 5].map((leg) => [...runs.joints.subarray(18 * frame + 3 * leg, 18 * frame + 3 * leg + 3)]);
-      const corners = scene.corners.map((corner) => placed(frame, corner));
+      const [corners, border] = [scene.corners, scene.border].map((points) => points.map((point) => placed(frame, point)));
       const legs = (wanted) => [0, 1, 2, 3, 4, 5].filter((leg) => wanted === isBeyond(frame, leg));
       const rods = (wanted) => [GAP, ...legs(wanted).flatMap((leg) => [rodFoot(frame, leg), joints[leg], GAP])];
       const cranks = (wanted) => [GAP, ...(runs.feet ? legs(wanted) : []).flatMap((leg) => [scene.base[leg], rodFoot(frame, leg), GAP])];
@@ -171,7 +171,7 @@
         rods(false), rods(true), cranks(false), cranks(true),
         [scene.onBase ? carried(frame, [0, 0, 0]) : camera, ...joints],
         [...joints, joints[0]],
-        [...corners.flatMap((corner) => [camera, corner, GAP]), ...corners, corners[0]],
+        [...corners.flatMap((corner) => [camera, corner, GAP]), ...border, border[0]],
         scene.goals.map((goal) => placed(frame, goal)),
         POINTS.map((_, point) => (isNaN(imagePoint(frame, point)[0]) ? GAP : placed(frame, imagePoint(frame, point)))),
       ];
@@ -249,8 +249,8 @@
     // The camera's image: positions on the image plane, y up.
     const SVG = "http://www.w3.org/2000/svg";
     const picture = document.getElementById("image");
-    const half = Math.max(...scene.corners.map((corner) => Math.abs(corner[0])));
-    const shapeOfImage = Math.max(...scene.corners.map((corner) => Math.abs(corner[1]))) / half; // height to width
+    const [left, low, right, high] = [Math.min, Math.max].flatMap((most) => [0, 1].map((at) => most(...scene.border.map((place) => place[at]))));
+    const scale = 200 / (right - left);
     function shape(tag, className, attributes) {
       const made = document.createElementNS(SVG, tag);
       made.setAttribute("class", className);
@@ -258,8 +258,8 @@
       picture.append(made);
       return made;
     }
-    picture.setAttribute("viewBox", `-100 ${-100 * shapeOfImage} 200 ${200 * shapeOfImage}`);
-    const onPicture = (place) => [(100 * place[0]) / half, (-100 * place[1]) / half];
+    picture.setAttribute("viewBox", `${scale * left} ${-scale * high} 200 ${scale * (high - low)}`);
+    const onPicture = (place) => [scale * place[0], -scale * place[1]];
     function walk(point, frames) {
       let text = "";
       for (let frame = 0; frame < frames; frame += 1) {
@@ -268,7 +268,8 @@
       }
       return text;
     }
-    shape("path", "axis", { d: `M-100 0H100M0 ${-100 * shapeOfImage}V${100 * shapeOfImage}` });
+    shape("path", "axis", { d: `M${scale * left} 0H${scale * right}M0 ${-scale * high}V${-scale * low}` });
+    shape("path", "axis", { d: `M${scene.border.map((place) => onPicture(place).join(" ")).join("L")}Z` });
     const seen = POINTS.map((name, point) => {
       const [x, y] = onPicture(scene.goals[point]);
       shape("rect", name, { x: x - 4, y: y - 4, width: 8, height: 8 });

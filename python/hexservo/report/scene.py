@@ -15,7 +15,7 @@ from hexservo.run.samples import parts, turns_from_home
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.leg_units import leg_units
 from hexservo.scenario.parameters import core_parameters
-from hexservo.scenario.pixels import desired_features, has_pixels
+from hexservo.scenario.pixels import IMAGE_CORNERS, desired_features, image_border
 
 if TYPE_CHECKING:
     from hexservo.run.result import Result
@@ -24,7 +24,7 @@ __all__ = ["SpaceView", "scene"]
 
 _FRAMES = (150, 60)  # most instants of the transient, and of the rest
 _IMAGE_DISTANCE = 0.4  # of the drawn image plane from the camera, in parts of the targets' depth
-_MARGIN = 1.2  # of the drawn image round the features
+_MARGIN = 1.2  # of the drawn plane round the features, where the image has no size
 _WIDEST = 1.0  # half width of the drawn image, in parts of its distance: features farther out are not drawn
 
 
@@ -45,14 +45,20 @@ class SpaceView:
     camera: Array  # (3,), of C's origin in E, or in B [m]
     axes: Array  # (3, 3), transforms C-coordinates into those of the same frame
     targets: Array | None  # (p, 3), in B, or in E; None where the plant has no points
-    corners: Array  # (4, 3) in C, of the image plane, in cyclic order
+    border: Array  # (n, 3) in C, of the image, or a square with all features: a closed line, a corner each n / 4 rows
+    size: tuple[float, ...] | None  # of the image, width and height [px]; None: it has none
     image: Array  # (k, p, 3) in C, features on the image plane; NaN beyond its widest
     goals: Array  # (p, 3) in C
     displacement: Array  # (k, 3) [m], from home
     turn: Array  # (k, 3) [rad], rotation vector
     error: Array  # (k,) [px], largest feature error
-    pixels_per_metre: float  # of the image plane
+    pixels_per_metre: float  # of features on the image plane
     z_down: bool  # gravity points along z of B, not against it
+
+    @property
+    def corners(self) -> Array:
+        """Corners of the drawn image in C, (4, 3), in cyclic order."""
+        return self.border[:: len(self.border) // 4]
 
     def placed(self, frame: int, points: Array) -> Array:
         """Return points of C, (..., 3), in B at an instant."""
@@ -69,7 +75,7 @@ class SpaceView:
 
     def box(self) -> tuple[Array, Array]:
         """Return the smallest and the largest coordinates of all drawn points, (3,) each."""
-        plane = np.concatenate([self.placed(frame, self.corners) for frame in range(len(self.time))])
+        plane = np.concatenate([self.placed(frame, self.border) for frame in range(len(self.time))])
         everything = [self.base, self.joints.reshape(-1, 3), self.position, plane]
         targets = [self.target(frame) for frame in range(len(self.time) if self.on_base else 1)]
         everything += [place for place in targets if place is not None]
@@ -100,6 +106,7 @@ class SpaceView:
             "axes": self.axes.tolist(),
             "targets": None if self.targets is None else self.targets.tolist(),
             "corners": self.corners.tolist(),
+            "border": self.border.tolist(),
             "zDown": self.z_down,
             "goals": self.goals.tolist(),
             "low": (middle - half).tolist(),
@@ -120,8 +127,9 @@ def scene(result: Result) -> SpaceView:
     goals = desired_features(result.scenario).reshape(-1, 2)
     distance = _IMAGE_DISTANCE * float(np.abs(result.depth[0]).mean())
     pixel = distance / settings.camera.focal_pixels  # [m], as it appears on the plane
-    half = _half_size(result, features, goals) * pixel
-    half = np.minimum(half, _WIDEST * distance)
+    border = image_border(result.scenario)
+    outline = (_around(features, goals) if border is None else border) * pixel
+    outline = np.clip(outline, -_WIDEST * distance, _WIDEST * distance)
     image = _on_plane(features * pixel, distance)
     image[np.abs(image[..., :2]).max(axis=-1) > _WIDEST * distance] = np.nan
     has_points = settings["camera.convention"] == "eye_in_hand"
@@ -142,7 +150,8 @@ def scene(result: Result) -> SpaceView:
         camera=camera,
         axes=np.column_stack(axes) - camera[:, None],
         targets=_core.lift(settings.camera, *start) if has_points else None,
-        corners=_on_plane(np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) * half, distance),
+        border=_on_plane(outline, distance),
+        size=result.scenario.camera.image_size,
         image=image,
         goals=_on_plane(goals * pixel, distance),
         displacement=position - np.asarray(result.scenario.robot.home_position),
@@ -192,9 +201,7 @@ def _on_plane(points: Array, distance: float) -> Array:
     return np.concatenate([points, np.full((*points.shape[:-1], 1), -distance)], axis=-1)
 
 
-def _half_size(result: Result, features: Array, goals: Array) -> Array:
-    """Return half the size of the drawn image [px], (2,): the sensor's, or one that contains all features."""
-    size = result.scenario.camera.image_size
-    if size is not None and not has_pixels(result.scenario.camera):
-        return np.asarray(size, dtype=float) / 2
-    return np.full(2, _MARGIN * max(float(np.abs(features).max()), float(np.abs(goals).max())))
+def _around(features: Array, goals: Array) -> Array:
+    """Return the corners of a square about the image centre that contains all features, (4, 2) [px]."""
+    half = _MARGIN * max(float(np.abs(features).max()), float(np.abs(goals).max()))
+    return half * IMAGE_CORNERS

@@ -24,7 +24,7 @@ def still(scene: SpaceView) -> Html:
     """Draw the end of the run, with the paths of the features on the image plane up to there."""
     last = len(scene.time) - 1
     joints, camera = scene.joints[last], scene.placed(last, np.zeros(3))
-    corners = scene.placed(last, scene.corners)
+    corners, border = scene.placed(last, scene.corners), scene.placed(last, scene.border)
     low, high = scene.box()
     bounds = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
     flat = _seen(bounds, scene.z_down)
@@ -44,7 +44,7 @@ def still(scene: SpaceView) -> Html:
             shapes.append(_line(at(np.stack([scene.base[leg], foot])), f"leg crank{beyond}"))
         shapes.append(_line(at(np.stack([foot, joints[leg]])), f"{rod}{beyond}"))
     shapes += [_line(at(np.stack([camera, corner])), "frustum") for corner in corners]
-    shapes += [_polygon(at(joints), "platform"), _polygon(at(corners), "image")]
+    shapes += [_polygon(at(joints), "platform"), _polygon(at(border), "image")]
     image = np.array([scene.placed(last, frame) for frame in scene.image])  # (k, p, 3)
     goals, targets = scene.placed(last, scene.goals), scene.target(last)
     for number in range(len(goals)):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hexservo.run.metrics import metrics
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.pixels import desired_features, has_pixels
+from hexservo.scenario.pixels import desired_features, image_border
 
 if TYPE_CHECKING:
     from hexservo.run.result import Result
@@ -133,7 +133,7 @@ class ImageView:
 
     middle: Array  # (2,) [px]
     half: Array  # (2,), half the width and half the height [px]
-    border: tuple[float, float] | None  # width and height of the camera's image [px]; None: it has no border
+    border: Array | None  # (n, 2) [px], of the camera's image, a closed line; None: it has none
 
     @property
     def limits(self) -> list[list[float]]:
@@ -144,20 +144,19 @@ class ImageView:
 def image_views(result: Result) -> list[ImageView]:
     """Return the limits of image axes: the paths and goals; with ``camera.image_size`` the image, in its shape.
 
-    An image whose pixels differ from features counts as none. Paths that leave the image widen that view in both
-    directions alike. Where they take a small part of it, a second view of the same shape magnifies them.
+    Paths that leave the image widen that view in both directions alike. Where they take a small part of it, a second
+    view of the same shape magnifies them.
     """
     goals = desired_features(result.scenario).reshape(-1, 2)
     places = np.concatenate([result.features.reshape(-1, 2), goals])
     low, high = places.min(axis=0), places.max(axis=0)
     middle, extent = (low + high) / 2, (high - low) / 2
-    size = result.scenario.camera.image_size
-    if size is None or has_pixels(result.scenario.camera):  # whose border is no rectangle of features
+    border = image_border(result.scenario)
+    if border is None:
         return [ImageView(middle, np.full(2, max(1.14 * float(extent.max()), 1.0)), None)]
-    border = (float(size[0]), float(size[1]))
-    shape = np.asarray(border, dtype=float) / 2
-    factor = max(1.0, float((np.abs(places) / shape).max()))
-    views = [ImageView(np.zeros(2), 1.04 * factor * shape, border)]
+    centre, shape = (border.min(axis=0) + border.max(axis=0)) / 2, np.ptp(border, axis=0) / 2
+    factor = max(1.0, float((np.abs(places - centre) / shape).max()))
+    views = [ImageView(centre, 1.04 * factor * shape, border)]
     share = max(float((1.14 * extent / shape).max()), 1.0 / float(shape.min()))
     if share < _SMALL:
         views.append(ImageView(middle, share * shape, border))

@@ -16,10 +16,12 @@ if TYPE_CHECKING:
     from hexservo.scenario.scenario import Scenario
 
 __all__ = [
+    "IMAGE_CORNERS",
     "WRONG_CAMERA",
     "desired_features",
     "has_camera_wrong",
     "has_pixels",
+    "image_border",
     "on_pinhole",
     "pixel_slopes",
     "points_outside",
@@ -28,6 +30,9 @@ __all__ = [
 ]
 
 _SLOPE_STEP = 0.01  # [px] of features
+_BENT_SIDE = 24  # points of a side of the image's border that a lens may bend
+IMAGE_CORNERS = np.array([(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)])
+"""Of an image about its centre, in halves of its size, (4, 2), in cyclic order."""
 WRONG_CAMERA = ("uncertainty.focal_length", "uncertainty.principal_point")
 """Keys of what the controller has wrong about the camera."""
 
@@ -101,8 +106,32 @@ def points_outside(scenario: Blocks, features: Any) -> Mask:
     size = scenario.camera.image_size
     if size is None:
         return np.asarray(np.isnan(places).any(axis=-1))
-    centre = np.zeros(2) if scenario.camera.principal_point is None else (np.asarray(size) - 1.0) / 2.0
-    return np.asarray(~(np.abs(places - centre) <= np.asarray(size) / 2.0).all(axis=-1))
+    return np.asarray(~(np.abs(places - _image_centre(scenario.camera)) <= np.asarray(size) / 2.0).all(axis=-1))
+
+
+def _image_centre(camera: Camera) -> Array:
+    """Return the centre of an image that has a size, in pixels as ``camera.principal_point`` counts them, (2,)."""
+    return np.zeros(2) if camera.principal_point is None else (np.asarray(camera.image_size) - 1.0) / 2.0
+
+
+def image_border(scenario: Blocks) -> Array | None:
+    """Return the border of the camera's image as features of its pinhole.
+
+    Returns
+    -------
+    (n, 2) array or None
+        [px], a closed line: the corners, n / 4 rows apart, and between them the points of what a lens bends. None
+        without ``camera.image_size``.
+    """
+    camera = scenario.camera
+    if camera.image_size is None:
+        return None
+    lens = camera.distortion
+    count = 1 if lens.brown_conrady is None and lens.kannala_brandt is None else _BENT_SIDE
+    shares = np.arange(count)[:, None] / count
+    sides = [a + shares * (b - a) for a, b in zip(IMAGE_CORNERS, np.roll(IMAGE_CORNERS, -1, axis=0), strict=True)]
+    pixels = _image_centre(camera) + np.concatenate(sides) * np.asarray(camera.image_size) / 2.0
+    return to_features(scenario, pixels)
 
 
 def on_pinhole(scenario: Scenario) -> Scenario:
