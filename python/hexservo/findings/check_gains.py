@@ -58,8 +58,8 @@ def of_gains(scene: Scene, fastest: float | None) -> Iterator[str]:
 
 
 def _of_feedback(scenario: Scenario, key: str) -> Iterator[str]:
-    feedback, most = value_at(scenario, key), feedback_margin(scenario)
-    if feedback > _OF_MARGIN * most * _ROUNDING:
+    feedback = value_at(scenario, key)
+    if feedback > 0.0 and feedback > _OF_MARGIN * (most := feedback_margin(scenario)) * _ROUNDING:
         yield (
             f"{key}: {number(feedback)} is more than half of {number(most)}, with which legs of this response oscillate"
         )

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import expm
 from scipy.optimize import brentq
-from scipy.signal import cont2discrete
 
 from hexservo import _core
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario, require_scenario
 
 __all__ = ["feedback_margin"]
 
-_GRID = 4096  # angles up to that of half the servo rate, between which a crossing of the real axis is looked for
+# Angles up to that of half the servo rate, between which a crossing of the real axis is looked for: as many evenly, and
+# evenly in the logarithm from a share of the slowest rate in the loop on, below which there is none.
+_GRID = 4096
+_SLOW = 0.01
 
 
 def feedback_margin(scenario: Scenario) -> float:
@@ -50,30 +55,61 @@ def feedback_margin(scenario: Scenario) -> float:
     1.8
     """
     require_scenario(scenario)
-    actuators, period = scenario.actuators, scenario.simulation.step
+    actuators = scenario.actuators
     if not actuators.takes_positions:
         raise ValueError(
             f"actuators.kind: expected position or position_torque for the margin of a feedback, got {actuators.kind}"
         )
+    return _least_gain(_leg(scenario))
+
+
+@dataclass(frozen=True)
+class _Leg:
+    """One leg as the law sees it, sampled once per servo period; frequencies are angles per period [rad]."""
+
+    held: Array  # (2, 3) of position and its rate over w: after a period, and from the command that is held for it
+    delay: int  # [periods]
+    ease: float  # share of its way that the feedback moves in a period
+    slowest: float  # of the rates in the loop [1/period]
+
+    def response(self, angles: Array) -> Array:
+        """Return z^-n G(z), (n,) at ``z = exp(i angle)``."""
+        # Z is z - 1, and the diagonal of the matrix has 1 taken off: both are exact for legs far slower than the servo.
+        ahead, z = np.expm1(1j * angles), np.exp(1j * angles)
+        (own, coupling, pushed), (back, rate, sped) = self.held
+        determinant = (ahead - own) * (ahead - rate) - coupling * back
+        return np.asarray(((ahead - rate) * pushed + coupling * sped) / determinant * z**-self.delay)
+
+    def feedback(self, angles: Array) -> Array:
+        """Return the loop of the feedback for a gain of 1, (n,) at ``z = exp(i angle)``."""
+        ahead = np.expm1(1j * angles)
+        return np.asarray(self.ease * (1.0 + ahead) / (ahead + self.ease) * self.response(angles))
+
+
+def _leg(scenario: Scenario) -> _Leg:
+    actuators, period = scenario.actuators, scenario.simulation.step
     w, damping = 2.0 * math.pi * actuators.position.bandwidth, actuators.position.damping
-    held = cont2discrete((np.array([w * w]), np.array([1.0, 2.0 * damping * w, w * w])), period)
-    numerator, denominator = np.ravel(held[0]), np.ravel(held[1])
+    system = w * period * np.array([[0.0, 1.0, 0.0], [-1.0, -2.0 * damping, 1.0], [0.0, 0.0, 0.0]])
+    held = np.asarray(expm(system))[:2] - np.eye(3)[:2]
+    apart = math.sqrt(max(damping**2 - 1.0, 0.0))
+    lag = _core.FEEDBACK_EASE * 2.0 * apart / w  # a share of what the slow time constant of the leg is longer
     delay = max(round(actuators.delay / period), 1)
-    slower = 2.0 * math.sqrt(max(damping**2 - 1.0, 0.0)) / w  # of the leg's two time constants, by how much
-    ease = -math.expm1(-period / (_core.FEEDBACK_EASE * slower)) if slower > 0.0 else 1.0
+    rates = [w / (damping + apart), 1.0 / ((delay + 1) * period), *([1.0 / lag] if lag > 0.0 else [])]
+    return _Leg(held, delay, -math.expm1(-period / lag) if lag > 0.0 else 1.0, min(rates) * period)
+
+
+def _least_gain(leg: _Leg) -> float:
+    """Return the smallest gain with which the loop of the feedback has a pole on the unit circle; infinite if none."""
 
     def loop(angle: float) -> complex:
-        z = np.exp(1j * angle)
-        lag = ease / (1.0 - (1.0 - ease) / z)
-        return complex(lag * np.polyval(numerator, z) / np.polyval(denominator, z) * z**-delay)
+        return complex(leg.feedback(np.array([angle]))[0])
 
-    angles = np.linspace(0.0, np.pi, _GRID + 1)[1:]
-    across = np.array([loop(angle).imag for angle in angles])
+    angles = np.union1d(np.geomspace(_SLOW * leg.slowest, np.pi, _GRID), np.linspace(0.0, np.pi, _GRID + 1)[1:])
+    across = leg.feedback(angles).imag
     across[-1] = 0.0  # real at half the rate, but for rounding
     crossings = [
-        angles[i] if across[i] == 0.0 else brentq(lambda angle: loop(angle).imag, angles[i - 1], angles[i])
-        for i in range(1, _GRID)
+        angles[i] if across[i] == 0.0 else brentq(lambda angle: loop(angle).imag, angles[i - 1], angles[i], xtol=1e-300)
+        for i in range(1, len(angles))
         if across[i] == 0.0 or across[i - 1] * across[i] < 0.0
     ]
-    gains = [-1.0 / value for value in (loop(angle).real for angle in crossings) if value < 0.0]
-    return min(gains)
+    return min((-1.0 / value for value in (loop(angle).real for angle in crossings) if value < 0.0), default=math.inf)
