@@ -1,8 +1,9 @@
-"""How much feedback of their readings legs that take positions bear: for the law `tracking`."""
+"""How much feedback and integral of their readings legs that take positions bear: for the law `tracking`."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +14,7 @@ from hexservo import _core
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario, require_scenario
 
-__all__ = ["feedback_margin"]
+__all__ = ["feedback_margin", "integral_margin"]
 
 # Angles up to that of half the servo rate, between which a crossing of the real axis is looked for: as many evenly, and
 # evenly in the logarithm from a share of the slowest rate in the loop on, below which there is none.
@@ -54,13 +55,54 @@ def feedback_margin(scenario: Scenario) -> float:
     >>> round(hs.feedback_margin(hs.load_scenario("reachy-mini")), 1)
     1.8
     """
-    require_scenario(scenario)
-    actuators = scenario.actuators
-    if not actuators.takes_positions:
-        raise ValueError(
-            f"actuators.kind: expected position or position_torque for the margin of a feedback, got {actuators.kind}"
-        )
-    return _least_gain(_leg(scenario))
+    leg = _leg(scenario)
+    return _least_gain(leg.feedback, leg.slowest)
+
+
+def integral_margin(scenario: Scenario) -> float:
+    """Return the least `controller.tracking.integral` with which a leg oscillates: the gain margin of the offset.
+
+    The loop is that of `feedback_margin`, with the scenario's feedback closed, and the offset added to the command: it
+    moves on by the integral times the servo period times how far the leg is behind, in the same tick. Half of the
+    margin (6 dB) leaves room for what the response lacks, as motors with friction and load do.
+
+    Parameters
+    ----------
+    scenario
+        With the law `tracking`, and `actuators.kind` `position` or `position_torque`.
+
+    Returns
+    -------
+    float
+        Rate r [1/s], the smallest positive one with
+        ``1 + r T z/(z - 1) z^-n G(z)/(1 + k F(z) z^-n G(z)) = 0`` for a z on the unit circle; T is the servo period,
+        k the feedback. 0 where k is not below `feedback_margin`: the loop oscillates without an offset.
+
+    Raises
+    ------
+    TypeError
+        For anything but a `Scenario`.
+    ValueError
+        If the legs do not take positions, or the law is another one.
+
+    Examples
+    --------
+    >>> round(hs.integral_margin(hs.load_scenario("reachy-mini-motors")), 1)
+    48.4
+    """
+    leg = _leg(scenario)
+    controller, period = scenario.controller, scenario.simulation.step
+    if controller.traits.output != "pose":
+        raise ValueError(f"controller.law: expected tracking for the margin of its integral, got {controller.law}")
+    feedback = controller.gains.feedback
+    if feedback > 0.0 and feedback >= _least_gain(leg.feedback, leg.slowest):
+        return 0.0
+
+    def loop(angles: Array) -> Array:
+        rise = period * np.exp(1j * angles) / np.expm1(1j * angles)
+        return np.asarray(rise * leg.response(angles) / (1.0 + feedback * leg.feedback(angles)))
+
+    return _least_gain(loop, leg.slowest)
 
 
 @dataclass(frozen=True)
@@ -87,7 +129,12 @@ class _Leg:
 
 
 def _leg(scenario: Scenario) -> _Leg:
+    require_scenario(scenario)
     actuators, period = scenario.actuators, scenario.simulation.step
+    if not actuators.takes_positions:
+        raise ValueError(
+            "actuators.kind: expected position or position_torque for the margin of a feedback, got " + actuators.kind
+        )
     w, damping = 2.0 * math.pi * actuators.position.bandwidth, actuators.position.damping
     system = w * period * np.array([[0.0, 1.0, 0.0], [-1.0, -2.0 * damping, 1.0], [0.0, 0.0, 0.0]])
     held = np.asarray(expm(system))[:2] - np.eye(3)[:2]
@@ -98,18 +145,26 @@ def _leg(scenario: Scenario) -> _Leg:
     return _Leg(held, delay, -math.expm1(-period / lag) if lag > 0.0 else 1.0, min(rates) * period)
 
 
-def _least_gain(leg: _Leg) -> float:
-    """Return the smallest gain with which the loop of the feedback has a pole on the unit circle; infinite if none."""
+def _least_gain(loop: Callable[[Array], Array], slowest: float) -> float:
+    """Return the smallest gain with which a loop has a pole on the unit circle; infinite if there is none.
 
-    def loop(angle: float) -> complex:
-        return complex(leg.feedback(np.array([angle]))[0])
+    Parameters
+    ----------
+    loop
+        Loop for a gain of 1: angles (n,) to its values (n,) at ``z = exp(i angle)``.
+    slowest
+        Of the rates in it [1/period].
+    """
 
-    angles = np.union1d(np.geomspace(_SLOW * leg.slowest, np.pi, _GRID), np.linspace(0.0, np.pi, _GRID + 1)[1:])
-    across = leg.feedback(angles).imag
+    def value(angle: float) -> complex:
+        return complex(loop(np.array([angle]))[0])
+
+    angles = np.union1d(np.geomspace(_SLOW * slowest, np.pi, _GRID), np.linspace(0.0, np.pi, _GRID + 1)[1:])
+    across = loop(angles).imag
     across[-1] = 0.0  # real at half the rate, but for rounding
     crossings = [
-        angles[i] if across[i] == 0.0 else brentq(lambda angle: loop(angle).imag, angles[i - 1], angles[i], xtol=1e-300)
+        angles[i] if across[i] == 0.0 else brentq(lambda at: value(at).imag, angles[i - 1], angles[i], xtol=1e-300)
         for i in range(1, len(angles))
         if across[i] == 0.0 or across[i - 1] * across[i] < 0.0
     ]
-    return min((-1.0 / value for value in (loop(angle).real for angle in crossings) if value < 0.0), default=math.inf)
+    return min((-1.0 / real for real in (value(angle).real for angle in crossings) if real < 0.0), default=math.inf)
