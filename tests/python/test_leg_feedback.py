@@ -9,6 +9,9 @@ from scipy.signal import cont2discrete
 
 import hexservo as hs
 from hexservo.findings.check import unlikely
+from hexservo.findings.diagnosis.causes import CAUSES
+from hexservo.findings.diagnosis.environment import alone_pairs
+from hexservo.findings.diagnosis.model import Case
 from test_tracking import TICK, head
 
 
@@ -103,3 +106,46 @@ def test_a_feedback_of_one_is_too_much_for_fast_legs_with_a_held_command() -> No
     half, one = (hs.simulate(scenario.updated({"controller.tracking.feedback": share})) for share in (0.5, 1.0))
     assert hs.metrics(half)["settling_time"] < 1.0
     assert one.outcome != "completed"
+
+
+# ---- Diagnosis ------------------------------------------------------------------------------------------------------
+
+FEEDBACK, INTEGRAL = "controller.tracking.feedback", "controller.tracking.integral"
+TURNING = {"metrics.band": 20.0, "actuators.delay": 3 * TICK, "simulation.duration": 1.5}
+CAUSE = {cause.key: cause for cause in CAUSES}
+
+
+@pytest.mark.parametrize("share", [1.2, 1.5, 2.0])
+def test_a_feedback_or_integral_beyond_its_margin_is_diagnosed(share: float) -> None:
+    scenario = head(25.0, gains={"bandwidth": 3.0}).updated(TURNING)
+    fault = {FEEDBACK: share * hs.feedback_margin(scenario)}
+    diagnosis = hs.diagnose(hs.simulate(scenario.updated(fault)))
+    assert [finding.cause for finding in diagnosis.named] == ["leg_feedback"]
+    motors = hs.load_scenario("reachy-mini-motors")
+    most = hs.integral_margin(motors)
+    (removal,) = CAUSE["leg_feedback"].removals(Case(motors.updated({INTEGRAL: share * most}), None))
+    assert removal.changes == {INTEGRAL: pytest.approx(0.5 * most)}
+
+
+def test_a_feedback_within_half_its_margin_is_no_cause() -> None:
+    scenario = head(25.0, gains={"bandwidth": 3.0}).updated(TURNING)
+    fine = scenario.updated({FEEDBACK: 0.49 * hs.feedback_margin(scenario)})
+    assert CAUSE["leg_feedback"].removals(Case(scenario, None)) == []
+    for law in ("tracking", "resolved_rate"):
+        assert CAUSE["leg_feedback"].removals(Case(fine.updated({"controller.law": law}), None)) == []
+    assert hs.diagnose(hs.simulate(fine)).failed is False
+
+
+def test_a_coarse_step_is_not_named_for_a_feedback_beyond_its_margin() -> None:
+    """It has to fail with the feedback within its margin too, in a run that has the legs and the step as they are."""
+    scenario = hs.load_scenario("reachy-mini-motors")
+    margin = hs.feedback_margin(scenario)
+    for share, pairs in ((0.4, 1), (1.2, 2)):
+        case = Case(scenario.updated({FEEDBACK: share * margin}), None)
+        (removal, *_) = CAUSE["coarse_step"].removals(case)
+        found = alone_pairs(CAUSE["coarse_step"], case, removal)
+        assert len(found) == pairs
+    within = case.scenario.updated(found[-1].alone)
+    assert within.controller.tracking.feedback == pytest.approx(0.5 * margin)
+    assert within.actuators == scenario.actuators
+    assert within.simulation.step == scenario.simulation.step
