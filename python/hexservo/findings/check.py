@@ -21,6 +21,7 @@ from hexservo.scenario.fitted import auto_of, chosen_keys, fitted_keys
 from hexservo.scenario.keys import default_of, keys_below, value_at
 from hexservo.scenario.laws import ALL_LAWS, LAWS, Controller, laws_with
 from hexservo.scenario.motion import Road, moves
+from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.pixels import on_pinhole, points_outside
 from hexservo.scenario.plain import plain
 from hexservo.scenario.presets import ROBOT_PRESETS
@@ -30,6 +31,7 @@ from hexservo.scenario.wording import number, quantity
 __all__ = ["keys_without_effect", "unlikely"]
 
 _FEWEST = 3  # points that a law can regulate
+_LONGEST_FRAME_GAP = 1.0  # [s], `kLongestFrameGap` of latency_estimator.hpp
 _TICKS = 10  # servo periods per shortest time constant of the loop for which the hold has little effect
 
 
@@ -38,9 +40,10 @@ def unlikely(scenario: Scenario) -> list[str]:
 
     Compares the weight at home with the force limits, home with the base, the stroke with the leg lengths, start and
     goal with stroke, joint limits and image, the start's twist with the speed limit, times of the camera and of the
-    metrics with the duration, and in sampled mode the servo period with the loop of the gains, linearised at home with
-    the switching term as in `linear_law`; gains with duration, servo rate, delays and forces (`of_gains`). Gains with
-    which numbers of that loop overflow have a sentence that names it. Does not simulate.
+    metrics with the duration, the period of frames with what finds an unknown latency, and in sampled mode the servo
+    period with the loop of the gains, linearised at home with the switching term as in `linear_law`; gains with
+    duration, servo rate, delays and forces (`of_gains`). Gains with which numbers of that loop overflow have a sentence
+    that names it. Does not simulate.
     """
     scene = scene_of(scenario)
     fastest, overflow = None, []
@@ -57,6 +60,7 @@ def unlikely(scenario: Scenario) -> list[str]:
         *_of_points(scene),
         *_of_image(scenario),
         *_of_duration(scenario),
+        *_of_unknown_latency(scenario),
         *_of_period(scenario, fastest),
         *(overflow or of_gains(scene, fastest)),
     ]
@@ -159,6 +163,17 @@ def _of_duration(scenario: Scenario) -> Iterator[str]:
                 f"{key}: {quantity(time, 's')} is not shorter than simulation.duration, {quantity(duration, 's')}, so "
                 f"that {consequence}"
             )
+
+
+def _of_unknown_latency(scenario: Scenario) -> Iterator[str]:
+    if scenario.camera.latency_known or scenario.controller.traits.output != "pose":
+        return
+    period = frame_period(scenario)
+    if period > _LONGEST_FRAME_GAP:
+        yield (
+            f"camera.latency_known: false with a frame every {quantity(period, 's')}: the latency is never found, "
+            f"since frames more than {quantity(_LONGEST_FRAME_GAP, 's')} apart are not compared"
+        )
 
 
 def _of_period(scenario: Scenario, rate: float | None) -> Iterator[str]:

@@ -51,6 +51,9 @@ def of_gains(scene: Scene, fastest: float | None) -> Iterator[str]:
         if scenario.actuators.kind == "force":  # other drives get there in their own time, or whatever effort it takes
             yield from _of_forces(scene, key, auto.bandwidth)
         yield from _of_image(scene, key)
+    elif scenario.controller.traits.output == "pose":
+        bandwidth = scenario.controller.gains.bandwidth
+        yield from _of_times(scenario, f"controller.{law}.bandwidth: {number(bandwidth)} Hz", bandwidth)
     elif fastest is not None:
         yield from _too_slow(scenario, f"controller.{law}: the gains' bandwidth of {{}} Hz", fastest / (2.0 * math.pi))
     if scenario.controller.traits.output == "pose":
