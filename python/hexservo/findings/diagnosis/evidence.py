@@ -202,4 +202,4 @@ SIGNATURES: dict[str, Callable[[Case, Record, Judgement], Signature]] = {
 }
 """By the causes' keys: of a run that failed, by which criteria."""
 OF_THE_SCENARIO = frozenset({"poor_image", "leg_limits"})
-"""Those that are the same whatever was recorded: they say nothing of a controller that is not run again."""
+"""Those that are the same whatever was recorded: they do not depend on what a controller did."""
