@@ -42,7 +42,15 @@ REFERENCE = {
     "Scenarios": ["load_scenario", "scenario_names", "Scenario", "ScenarioError", "camera_from_opencv"],
     "Reach": ["project", "reachable", "Reachability"],
     "Runs": ["simulate", "Result", "LimitEvent", "metrics", "METRICS", "load_result", "ResultError", "VariantError"],
-    "Controllers": ["Controller", "ControllerOutput", "Observation", "LegForces", "feedback_margin", "c_library"],
+    "Controllers": [
+        "Controller",
+        "ControllerOutput",
+        "Observation",
+        "LegForces",
+        "feedback_margin",
+        "integral_margin",
+        "c_library",
+    ],
     "Batches": ["simulate_batch", "BatchResult"],
     "Comparisons": ["compare", "Comparison", "ComparisonRow"],
     "Analysis, certificate, diagnosis": [

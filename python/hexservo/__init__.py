@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from hexservo.findings.diagnosis import Diagnosis, diagnose
     from hexservo.findings.identification import Identification, identify
     from hexservo.findings.identification.log import Log, read_log
-    from hexservo.findings.leg_feedback import feedback_margin
+    from hexservo.findings.leg_feedback import feedback_margin, integral_margin
     from hexservo.findings.reach import Reachability, project, reachable
     from hexservo.report import write_report
     from hexservo.report.campaign_page import write_campaign_report
@@ -100,6 +100,7 @@ __all__ = [
     "estimate_rare_failures",
     "feedback_margin",
     "identify",
+    "integral_margin",
     "load_campaign",
     "load_result",
     "load_scenario",
@@ -135,7 +136,7 @@ _MODULES = {
     "findings.diagnosis": ("Diagnosis", "diagnose"),
     "findings.identification": ("Identification", "identify"),
     "findings.identification.log": ("Log", "read_log"),
-    "findings.leg_feedback": ("feedback_margin",),
+    "findings.leg_feedback": ("feedback_margin", "integral_margin"),
     "findings.reach": ("Reachability", "project", "reachable"),
     "report": ("write_report",),
     "report.campaign_page": ("write_campaign_report",),

@@ -476,6 +476,7 @@ FAULTS: dict[str, tuple[Fault, ...]] = {
             **ON_POSITIONS,
         ),
     ),
+    "leg_feedback": (Fault({"controller.tracking.feedback": LogUniform(60.0, 300.0)}, **ON_POSITIONS),),
 }
 """What `variation` draws from, beside the baselines; a fault of a cause is drawn first."""
 

@@ -1079,6 +1079,19 @@ def test_recorded_signals_that_fit_no_cause_name_none() -> None:
     assert "noise of the features" in table.note  # present, and without a signature
 
 
+def test_a_controller_that_does_nothing_has_no_cause_in_the_scenario() -> None:
+    """The target of `composite-30hz` is poorly observable, which is no reason to stay at the start."""
+    exact = {"inertia": 0.0, "coriolis": 0.0, "gravity": 0.0, "depth": 0.0}
+    scenario = hs.load_scenario("composite-30hz").updated({"uncertainty": exact})
+    weight = -scenario.robot.mass * np.array([*scenario.robot.gravity, 0.0, 0.0, 0.0])
+    diagnosis = hs.diagnose(hs.simulate(scenario, controller=lambda seen: weight))
+    assert diagnosis.failed
+    first = diagnosis.section().sentences[0]
+    assert first.startswith("Not explained")
+    assert "the platform stays where it starts" in first
+    assert {"poor_image", "leg_limits"}.isdisjoint(finding.cause for finding in diagnosis.causes)
+
+
 def test_a_controller_that_is_named_as_a_law_is_not_taken_for_it() -> None:
     scenario = hs.load_scenario("composite-30hz").updated({"simulation.duration": 0.1, "metrics.rms_start": 0.0})
 

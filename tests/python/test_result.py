@@ -162,6 +162,7 @@ def test_simulate_takes_a_scenario_only(paper: hs.Scenario) -> None:
         lambda wrong: hs.project(wrong, np.zeros(6)),
         lambda wrong: hs.reachable(wrong, np.zeros(6)),
         hs.feedback_margin,
+        hs.integral_margin,
         lambda wrong: hs.bridges.control(wrong, "plant"),
         hs.bridges.fmu,
         lambda wrong: hs.bridges.gymnasium(wrong, 2),

@@ -19,6 +19,7 @@ from hexservo.findings.check import unlikely
 from hexservo.run import variant
 from hexservo.scenario.parameters import core_parameters
 from recorded_ticks import step, ticks_of
+from test_docs import ROOT
 
 Array = NDArray[np.float64]
 CENTRE = np.array([0.0437, 0.0, -0.15157])  # of the head's camera at home, in B [m]
@@ -562,6 +563,26 @@ def test_check_knows_every_law_of_a_machine_that_takes_positions(law: str) -> No
         assert unlikely(scenario) == []
     slow = scenario.updated({f"controller.{law}.auto.bandwidth": 0.02})
     assert any("0.02 Hz is below 0.05 Hz" in sentence for sentence in unlikely(slow))
+
+
+def test_a_bandwidth_that_was_chosen_is_checked_as_one_that_is_fitted() -> None:
+    """Above a quarter of the servo rate, 12.5 Hz, and below a tenth of a period in the run of 2 s."""
+    for bandwidth, noted in ((12.0, ""), (13.0, "above 12.5 Hz"), (0.06, ""), (0.04, "below 0.05 Hz")):
+        sentences = unlikely(head(0.0, gains={"bandwidth": bandwidth}))
+        found = [words for words in sentences if words.startswith(f"controller.tracking.bandwidth: {bandwidth:g} Hz")]
+        assert len(found) == bool(noted)
+        assert all(noted in words for words in found)
+
+
+def test_frames_too_rare_for_an_unknown_latency_are_noted() -> None:
+    longest = re.search(
+        r"kLongestFrameGap = (\S+);", (ROOT / "cpp/include/hexservo/latency_estimator.hpp").read_text(encoding="utf-8")
+    )
+    assert longest is not None
+    for period, known, noted in ((1.0, False, False), (1.02, False, True), (1.02, True, False)):
+        assert (period > float(longest[1])) == (period > 1.0)
+        scenario = head(0.0).updated({"camera.period": period, "camera.latency_known": known})
+        assert any(words.startswith("camera.latency_known: ") for words in unlikely(scenario)) == noted
 
 
 def test_the_largest_start_is_found_without_a_prediction_of_its_own() -> None:

@@ -21,6 +21,7 @@ from hexservo.scenario.fitted import auto_of, chosen_keys, fitted_keys
 from hexservo.scenario.keys import default_of, keys_below, value_at
 from hexservo.scenario.laws import ALL_LAWS, LAWS, Controller, laws_with
 from hexservo.scenario.motion import Road, moves
+from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.pixels import on_pinhole, points_outside
 from hexservo.scenario.plain import plain
 from hexservo.scenario.presets import ROBOT_PRESETS
@@ -33,6 +34,7 @@ _FEWEST = 3  # points that a law can regulate
 _OFF_CENTRE = 0.15  # of the image, most that the principal point of a usual lens is off its centre
 # [m/s^2], of a base's recording: a vehicle that is at rest before and after has a mean of zero, and gravity is 9.8
 _MEAN_ACCELERATION = 2.0
+_LONGEST_FRAME_GAP = 1.0  # [s], `kLongestFrameGap` of latency_estimator.hpp
 _TICKS = 10  # servo periods per shortest time constant of the loop for which the hold has little effect
 
 
@@ -41,10 +43,11 @@ def unlikely(scenario: Scenario) -> list[str]:
 
     Compares the weight at home with the force limits, home with the base, the stroke with the leg lengths, start and
     goal with stroke, joint limits and image, the start's twist with the speed limit, the principal point with the
-    image, times of the camera and of the metrics with the duration, a recorded acceleration with that of gravity, and
-    in sampled mode the servo period with the loop of the gains, linearised at home with the switching term as in
-    `linear_law`; gains with duration, servo rate, delays and forces (`of_gains`). Gains with which numbers of that loop
-    overflow have a sentence that names it. Does not simulate.
+    image, times of the camera and of the metrics with the duration, a recorded acceleration with that of gravity, the
+    period of frames with what finds an unknown latency, and in sampled mode the servo period with the loop of the
+    gains, linearised at home with the switching term as in `linear_law`; gains with duration, servo rate, delays and
+    forces (`of_gains`). Gains with which numbers of that loop overflow have a sentence that names it. Does not
+    simulate.
     """
     scene = scene_of(scenario)
     fastest, overflow = None, []
@@ -64,6 +67,7 @@ def unlikely(scenario: Scenario) -> list[str]:
         *_of_duration(scenario),
         *_of_dropout(scenario),
         *_of_recording(scenario),
+        *_of_unknown_latency(scenario),
         *_of_period(scenario, fastest),
         *(overflow or of_gains(scene, fastest)),
     ]
@@ -209,6 +213,17 @@ def _of_recording(scenario: Scenario) -> Iterator[str]:
 
 def _vector(values: Array) -> str:
     return f"({', '.join(map(number, values))})"
+
+
+def _of_unknown_latency(scenario: Scenario) -> Iterator[str]:
+    if scenario.camera.latency_known or scenario.controller.traits.output != "pose":
+        return
+    period = frame_period(scenario)
+    if period > _LONGEST_FRAME_GAP:
+        yield (
+            f"camera.latency_known: false with a frame every {quantity(period, 's')}: the latency is never found, "
+            f"since frames more than {quantity(_LONGEST_FRAME_GAP, 's')} apart are not compared"
+        )
 
 
 def _of_period(scenario: Scenario, rate: float | None) -> Iterator[str]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from hexservo import _core
 from hexservo.findings.analysis.scene import Scene
-from hexservo.findings.leg_feedback import feedback_margin
+from hexservo.findings.leg_feedback import feedback_margin, integral_margin
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.fitted import Machine, auto_of, chosen_keys, fitted_keys, machine_of
@@ -51,18 +51,24 @@ def of_gains(scene: Scene, fastest: float | None) -> Iterator[str]:
         if scenario.actuators.kind == "force":  # other drives get there in their own time, or whatever effort it takes
             yield from _of_forces(scene, key, auto.bandwidth)
         yield from _of_image(scene, key)
+    elif scenario.controller.traits.output == "pose":
+        bandwidth = scenario.controller.gains.bandwidth
+        yield from _of_times(scenario, f"controller.{law}.bandwidth: {number(bandwidth)} Hz", bandwidth)
     elif fastest is not None:
         yield from _too_slow(scenario, f"controller.{law}: the gains' bandwidth of {{}} Hz", fastest / (2.0 * math.pi))
     if scenario.controller.traits.output == "pose":
-        yield from _of_feedback(scenario, f"controller.{law}.feedback")
+        yield from _of_feedback(scenario, law)
 
 
-def _of_feedback(scenario: Scenario, key: str) -> Iterator[str]:
-    feedback, most = value_at(scenario, key), feedback_margin(scenario)
-    if feedback > _OF_MARGIN * most * _ROUNDING:
-        yield (
-            f"{key}: {number(feedback)} is more than half of {number(most)}, with which legs of this response oscillate"
-        )
+def _of_feedback(scenario: Scenario, law: str) -> Iterator[str]:
+    for name, margin in (("feedback", feedback_margin), ("integral", integral_margin)):
+        key = f"controller.{law}.{name}"
+        own = value_at(scenario, key)
+        most = margin(scenario) if own > 0.0 else math.inf
+        if own > _OF_MARGIN * most * _ROUNDING and most > 0.0:  # 0: the feedback alone is too much
+            yield (
+                f"{key}: {number(own)} is more than half of {number(most)}, with which legs of this response oscillate"
+            )
 
 
 def _of_times(scenario: Scenario, key: str, bandwidth: float) -> Iterator[str]:

@@ -1,19 +1,25 @@
-"""How much feedback of their readings legs that take positions bear: for the law `tracking`."""
+"""How much feedback and integral of their readings legs that take positions bear: for the law `tracking`."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import expm
 from scipy.optimize import brentq
-from scipy.signal import cont2discrete
 
 from hexservo import _core
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario, require_scenario
 
-__all__ = ["feedback_margin"]
+__all__ = ["feedback_margin", "integral_margin"]
 
-_GRID = 4096  # angles up to that of half the servo rate, between which a crossing of the real axis is looked for
+# Angles up to that of half the servo rate, between which a crossing of the real axis is looked for: as many evenly, and
+# evenly in the logarithm from a share of the slowest rate in the loop on, below which there is none.
+_GRID = 4096
+_SLOW = 0.01
 
 
 def feedback_margin(scenario: Scenario) -> float:
@@ -49,31 +55,116 @@ def feedback_margin(scenario: Scenario) -> float:
     >>> round(hs.feedback_margin(hs.load_scenario("reachy-mini")), 1)
     1.8
     """
+    leg = _leg(scenario)
+    return _least_gain(leg.feedback, leg.slowest)
+
+
+def integral_margin(scenario: Scenario) -> float:
+    """Return the least `controller.tracking.integral` with which a leg oscillates: the gain margin of the offset.
+
+    The loop is that of `feedback_margin`, with the scenario's feedback closed, and the offset added to the command: it
+    moves on by the integral times the servo period times how far the leg is behind, in the same tick. Half of the
+    margin (6 dB) leaves room for what the response lacks, as motors with friction and load do.
+
+    Parameters
+    ----------
+    scenario
+        With the law `tracking`, and `actuators.kind` `position` or `position_torque`.
+
+    Returns
+    -------
+    float
+        Rate r [1/s], the smallest positive one with
+        ``1 + r T z/(z - 1) z^-n G(z)/(1 + k F(z) z^-n G(z)) = 0`` for a z on the unit circle; T is the servo period,
+        k the feedback. 0 where k is not below `feedback_margin`: the loop oscillates without an offset.
+
+    Raises
+    ------
+    TypeError
+        For anything but a `Scenario`.
+    ValueError
+        If the legs do not take positions, or the law is another one.
+
+    Examples
+    --------
+    >>> round(hs.integral_margin(hs.load_scenario("reachy-mini-motors")), 1)
+    48.4
+    """
+    leg = _leg(scenario)
+    controller, period = scenario.controller, scenario.simulation.step
+    if controller.traits.output != "pose":
+        raise ValueError(f"controller.law: expected tracking for the margin of its integral, got {controller.law}")
+    feedback = controller.gains.feedback
+    if feedback > 0.0 and feedback >= _least_gain(leg.feedback, leg.slowest):
+        return 0.0
+
+    def loop(angles: Array) -> Array:
+        rise = period * np.exp(1j * angles) / np.expm1(1j * angles)
+        return np.asarray(rise * leg.response(angles) / (1.0 + feedback * leg.feedback(angles)))
+
+    return _least_gain(loop, leg.slowest)
+
+
+@dataclass(frozen=True)
+class _Leg:
+    """One leg as the law sees it, sampled once per servo period; frequencies are angles per period [rad]."""
+
+    held: Array  # (2, 3) of position and its rate over w: after a period, and from the command that is held for it
+    delay: int  # [periods]
+    ease: float  # share of its way that the feedback moves in a period
+    slowest: float  # of the rates in the loop [1/period]
+
+    def response(self, angles: Array) -> Array:
+        """Return z^-n G(z), (n,) at ``z = exp(i angle)``."""
+        # Z is z - 1, and the diagonal of the matrix has 1 taken off: both are exact for legs far slower than the servo.
+        ahead, z = np.expm1(1j * angles), np.exp(1j * angles)
+        (own, coupling, pushed), (back, rate, sped) = self.held
+        determinant = (ahead - own) * (ahead - rate) - coupling * back
+        return np.asarray(((ahead - rate) * pushed + coupling * sped) / determinant * z**-self.delay)
+
+    def feedback(self, angles: Array) -> Array:
+        """Return the loop of the feedback for a gain of 1, (n,) at ``z = exp(i angle)``."""
+        ahead = np.expm1(1j * angles)
+        return np.asarray(self.ease * (1.0 + ahead) / (ahead + self.ease) * self.response(angles))
+
+
+def _leg(scenario: Scenario) -> _Leg:
     require_scenario(scenario)
     actuators, period = scenario.actuators, scenario.simulation.step
     if not actuators.takes_positions:
         raise ValueError(
-            f"actuators.kind: expected position or position_torque for the margin of a feedback, got {actuators.kind}"
+            "actuators.kind: expected position or position_torque for the margin of a feedback, got " + actuators.kind
         )
     w, damping = 2.0 * math.pi * actuators.position.bandwidth, actuators.position.damping
-    held = cont2discrete((np.array([w * w]), np.array([1.0, 2.0 * damping * w, w * w])), period)
-    numerator, denominator = np.ravel(held[0]), np.ravel(held[1])
+    system = w * period * np.array([[0.0, 1.0, 0.0], [-1.0, -2.0 * damping, 1.0], [0.0, 0.0, 0.0]])
+    held = np.asarray(expm(system))[:2] - np.eye(3)[:2]
+    apart = math.sqrt(max(damping**2 - 1.0, 0.0))
+    lag = _core.FEEDBACK_EASE * 2.0 * apart / w  # a share of what the slow time constant of the leg is longer
     delay = max(round(actuators.delay / period), 1)
-    slower = 2.0 * math.sqrt(max(damping**2 - 1.0, 0.0)) / w  # of the leg's two time constants, by how much
-    ease = -math.expm1(-period / (_core.FEEDBACK_EASE * slower)) if slower > 0.0 else 1.0
+    rates = [w / (damping + apart), 1.0 / ((delay + 1) * period), *([1.0 / lag] if lag > 0.0 else [])]
+    return _Leg(held, delay, -math.expm1(-period / lag) if lag > 0.0 else 1.0, min(rates) * period)
 
-    def loop(angle: float) -> complex:
-        z = np.exp(1j * angle)
-        lag = ease / (1.0 - (1.0 - ease) / z)
-        return complex(lag * np.polyval(numerator, z) / np.polyval(denominator, z) * z**-delay)
 
-    angles = np.linspace(0.0, np.pi, _GRID + 1)[1:]
-    across = np.array([loop(angle).imag for angle in angles])
+def _least_gain(loop: Callable[[Array], Array], slowest: float) -> float:
+    """Return the smallest gain with which a loop has a pole on the unit circle; infinite if there is none.
+
+    Parameters
+    ----------
+    loop
+        Loop for a gain of 1: angles (n,) to its values (n,) at ``z = exp(i angle)``.
+    slowest
+        Of the rates in it [1/period].
+    """
+
+    def value(angle: float) -> complex:
+        return complex(loop(np.array([angle]))[0])
+
+    angles = np.union1d(np.geomspace(_SLOW * slowest, np.pi, _GRID), np.linspace(0.0, np.pi, _GRID + 1)[1:])
+    across = loop(angles).imag
     across[-1] = 0.0  # real at half the rate, but for rounding
     crossings = [
-        angles[i] if across[i] == 0.0 else brentq(lambda angle: loop(angle).imag, angles[i - 1], angles[i])
-        for i in range(1, _GRID)
+        angles[i] if across[i] == 0.0 else brentq(lambda at: value(at).imag, angles[i - 1], angles[i], xtol=1e-300)
+        for i in range(1, len(angles))
         if across[i] == 0.0 or across[i - 1] * across[i] < 0.0
     ]
-    gains = [-1.0 / value for value in (loop(angle).real for angle in crossings) if value < 0.0]
-    return min(gains)
+    return min((-1.0 / real for real in (value(angle).real for angle in crossings) if real < 0.0), default=math.inf)

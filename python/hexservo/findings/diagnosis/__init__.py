@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hexservo.findings.diagnosis.causes import CAUSES
 from hexservo.findings.diagnosis.criterion import Judgement, Record
-from hexservo.findings.diagnosis.evidence import SIGNATURES, Signature
+from hexservo.findings.diagnosis.evidence import OF_THE_SCENARIO, SIGNATURES, Signature
 from hexservo.findings.diagnosis.findings import Diagnosis, Finding, Remedy
 from hexservo.findings.diagnosis.model import Case, Removal
 from hexservo.findings.diagnosis.ranking import Trial, judged, make_cases, pairs, rank, study
@@ -159,7 +159,7 @@ def _by_looks(case: Case, record: Record, before: Judgement) -> tuple[tuple[Find
     for cause in CAUSES:
         signature = SIGNATURES[cause.key](case, record, before) if cause.key in SIGNATURES else Signature(None, "")
         of_the_law = cause.kind == "law" or cause.key in ("wrong_sign", "false_equilibrium")
-        if of_the_law or not cause.removals(case) or signature.strength is None:
+        if of_the_law or cause.key in OF_THE_SCENARIO or not cause.removals(case) or signature.strength is None:
             absent.append(cause.title)
             continue
         evidence = (signature.sentence,) if signature.sentence else ()

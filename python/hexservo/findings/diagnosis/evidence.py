@@ -20,7 +20,7 @@ from hexservo.scenario.parameters import core_parameters, frame_period
 from hexservo.scenario.pixels import desired_features, points_outside
 from hexservo.scenario.wording import number
 
-__all__ = ["SIGNATURES", "Signature"]
+__all__ = ["OF_THE_SCENARIO", "SIGNATURES", "Signature"]
 
 _TAIL = 0.25  # the last part of a run, in which it rests or does not
 _AT_REST = 0.02  # of the stroke, that the legs may move in it
@@ -201,3 +201,5 @@ SIGNATURES: dict[str, Callable[[Case, Record, Judgement], Signature]] = {
     "leg_limits": _leg_limits,
 }
 """By the causes' keys: of a run that failed, by which criteria."""
+OF_THE_SCENARIO = frozenset({"poor_image", "leg_limits"})
+"""Those that are the same whatever was recorded: they do not depend on what a controller did."""

@@ -18,6 +18,7 @@ _PAGE = "docs/diagnosis/ranking.md"
 _TITLES = {cause.key: cause.title for cause in CAUSES}
 _FLOOR = 1e-3  # [px], of the curves
 _WEAK = 0.3  # score up to which recorded signals speak for no cause
+_AT_REST = 1e-3  # of the stroke, that legs move which do not act
 _HELPERS = 3  # most removals that are named which help and are not the cause
 _NOT_NAMED = {  # fails alone -> why a removal that helps is not the cause
     False: "that helps, but alone it makes no scenario without other faults fail, so it is not the cause.",
@@ -64,8 +65,14 @@ def _verdict(found: Diagnosis) -> str:
         )
     if not found.result.by_law:
         if first is None or first.score <= _WEAK:
+            travel = float(np.ptp(found.record.samples["leg_lengths"], axis=0).max())
+            still = travel <= _AT_REST * found.result.scenario.robot.stroke
+            more = (
+                f" Its legs move by {number(1e3 * travel)} {unit}: the platform stays where it starts." if still else ""
+            )
             return (
                 f"Not explained: it {was}, and the recorded signals fit no cause; a custom controller is not run again."
+                f"{more}"
             )
         return (
             f"From the recorded signals alone the most likely cause is {first.title}: a custom controller is not "

@@ -20,6 +20,7 @@ from hexservo.findings.diagnosis.gains import GAIN_KEYS, damped, not_below_defau
 from hexservo.findings.diagnosis.goal import spread_target
 from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal
 from hexservo.findings.diagnosis.remedies import leg_limits_remedies
+from hexservo.findings.diagnosis.tracking import legs_within_margins
 from hexservo.scenario.blocks import Metrics
 from hexservo.scenario.laws import Fuzzy, laws_with
 from hexservo.scenario.parameters import frame_period
@@ -156,12 +157,15 @@ def _coarse_step(case: Case) -> list[Removal]:
 
 
 def _coarse_step_alone(case: Case) -> list[Alone]:
+    """Try legs within their margins too: a step that only a feedback beyond them does not bear is not the cause."""
     fine = {**ideal(case.scenario), **ordinary(case.scenario)}
     step, substeps = case.scenario.simulation.step, case.scenario.simulation.substeps
     if case.sampled:
         fine["simulation.substeps"] = _SUBSTEPS * substeps
         coarse = {"simulation.step": step, "simulation.substeps": substeps, "camera.period": step}
-        return [Alone(fine, {**fine, **coarse})]
+        pairs = [Alone(fine, {**fine, **coarse})]
+        within = legs_within_margins(case)
+        return [*pairs, Alone(fine, within)] if within else pairs
     return [Alone(fine, {**fine, "simulation.step": step})]
 
 

@@ -8,10 +8,11 @@ from typing import Any
 
 from hexservo.findings.diagnosis.environment import ideal
 from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal
+from hexservo.findings.leg_feedback import feedback_margin, integral_margin
 from hexservo.scenario.keys import keys_below, value_at
 from hexservo.scenario.laws import Tracking
 
-__all__ = ["NEVER_ACTING", "TRACKING", "well_set"]
+__all__ = ["NEVER_ACTING", "TRACKING", "legs_within_margins", "well_set"]
 
 _LAW = "tracking"
 _BLOCK = f"controller.{_LAW}"
@@ -20,14 +21,12 @@ _LEAST_NOISE = 0.02  # [px], that the filter assumes for features without noise
 # of what is led, followed and seen
 _CONTEXT = ("actuators.position", "target.motion", "camera.period", "camera.latency", "camera.latency_jitter")
 
+_DRIVES = ("actuators",)  # whose legs the feedback and the offset correct, as late as they are
+_OF_MARGIN = 0.5  # share of its gain margin that a feedback may have
+
 NEVER_ACTING = {
-    f"{_BLOCK}.feedback": (
-        "makes up for legs that do not respond as `actuators.position` has it, as motors under load do: `motors`, "
-        "`stick_slip`"
-    ),
-    **dict.fromkeys(
-        (f"{_BLOCK}.integral", f"{_BLOCK}.band"),
-        "acts on legs that come to rest elsewhere than commanded, as motors with friction do: `motors`, `stick_slip`",
+    f"{_BLOCK}.band": (
+        "acts on legs that come to rest elsewhere than commanded, as motors with friction do: `motors`, `stick_slip`"
     ),
 }
 """Keys of the law without a cause, each with the reason."""
@@ -43,11 +42,11 @@ def _of_the_law(changes: Callable[[Case], Mapping[str, Any]], words: str) -> Cal
     return removals
 
 
-def _alone(changes: Callable[[Case], Mapping[str, Any]]) -> Callable[[Case], list[Alone]]:
+def _alone(changes: Callable[[Case], Mapping[str, Any]], context: tuple[str, ...]) -> Callable[[Case], list[Alone]]:
     """Keep legs, motion, camera times and the law's other settings: what these settings do depends on them."""
 
     def alone(case: Case) -> list[Alone]:
-        kept = {key for block in _CONTEXT for key in keys_below(block)}
+        kept = {key for block in (*_CONTEXT, *context) for key in keys_below(block)}
         without = {key: value for key, value in ideal(case.scenario).items() if key not in kept}
         return [Alone({**without, **changes(case)}, without)]
 
@@ -66,6 +65,26 @@ def _matched(case: Case) -> Mapping[str, Any]:
     return {**usual, f"{_BLOCK}.noise": max(noise, _LEAST_NOISE)}
 
 
+def _within_margins(case: Case) -> Mapping[str, Any]:
+    """Return feedback and integral of at most half their margins, that of the integral with this feedback."""
+    own = {name: value_at(case.scenario, f"{_BLOCK}.{name}") for name in ("feedback", "integral")}
+    if not any(own.values()):
+        return {}
+    feedback = {f"{_BLOCK}.feedback": min(own["feedback"], _OF_MARGIN * feedback_margin(case.scenario))}
+    most = _OF_MARGIN * integral_margin(case.scenario.updated(feedback))
+    return {**feedback, f"{_BLOCK}.integral": min(own["integral"], most)}
+
+
+def legs_within_margins(case: Case) -> Mapping[str, Any]:
+    """Return the changes to ideal devices but for the drives, with feedback and integral within their margins.
+
+    {} where they are, and with another law.
+    """
+    if not _of_the_law(_within_margins, "")(case):
+        return {}
+    return _alone(_within_margins, _DRIVES)(case)[0].without
+
+
 def well_set(case: Case) -> Mapping[str, Any]:
     """Return the settings of the law that suit legs and features; {} with another law, which has no such settings."""
     return {**_matched(case), **_led(case)} if case.scenario.controller.law == _LAW else {}
@@ -76,10 +95,15 @@ def _pose(case: Case) -> Mapping[str, Any]:
 
 
 def _cause(
-    key: str, title: str, names: tuple[str, ...], changes: Callable[[Case], Mapping[str, Any]], words: str
+    key: str,
+    title: str,
+    names: tuple[str, ...],
+    changes: Callable[[Case], Mapping[str, Any]],
+    words: str,
+    context: tuple[str, ...] = (),
 ) -> Cause:
     keys = frozenset(f"LAW.{name}" for name in names)
-    return Cause(key, title, "law", keys, _of_the_law(changes, words), alone=_alone(changes))
+    return Cause(key, title, "law", keys, _of_the_law(changes, words), alone=_alone(changes, context))
 
 
 TRACKING: tuple[Cause, ...] = (
@@ -92,4 +116,12 @@ TRACKING: tuple[Cause, ...] = (
         "the filter of the target at its defaults, and the noise that the features have",
     ),
     _cause("direction_alone", "a law that follows a direction alone", ("follow",), _pose, "the pose followed"),
+    _cause(
+        "leg_feedback",
+        "a feedback or integral of the legs beyond its margin",
+        ("feedback", "integral"),
+        _within_margins,
+        "feedback and integral of at most half their margins",
+        _DRIVES,
+    ),
 )

@@ -1,0 +1,151 @@
+"""How much feedback and integral of their readings legs bear (docs/model.md, section 5): closed forms and runs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.signal import cont2discrete
+
+import hexservo as hs
+from hexservo.findings.check import unlikely
+from hexservo.findings.diagnosis.causes import CAUSES
+from hexservo.findings.diagnosis.environment import alone_pairs
+from hexservo.findings.diagnosis.model import Case
+from test_tracking import TICK, head
+
+
+@pytest.mark.parametrize(("bandwidth", "damping"), [(1e-3, 1.88), (1e-4, 1.0001), (1e-4, 10.0)])
+def test_the_margin_of_legs_far_slower_than_the_servo_is_that_of_their_lags(bandwidth: float, damping: float) -> None:
+    """By Routh, with the dead time of delay and hold as one more lag: a1 (a2 a3 - a1 a4) = a3^2 (1 + k)."""
+    w, dead = 2.0 * np.pi * bandwidth, 1.5 * TICK
+    lag = np.sqrt(max(damping**2 - 1.0, 0.0)) / w
+    polynomial = np.polymul(np.polymul([1.0 / w**2, 2.0 * damping / w, 1.0], [lag, 1.0]), [dead, 1.0])
+    a4, a3, a2, a1, _ = polynomial
+    expected = a1 * (a2 * a3 - a1 * a4) / a3**2 - 1.0
+    legs = {"actuators.delay": TICK, "actuators.position": {"bandwidth": bandwidth, "damping": damping}}
+    margin = hs.feedback_margin(head(0.0).updated(legs))
+    print(f"{margin:.6g}, expected {expected:.6g}")
+    assert margin == pytest.approx(expected, rel=2e-3)
+
+
+def test_legs_that_hardly_move_are_checked() -> None:
+    slow = head(0.0, gains={"feedback": 0.1}).updated({"actuators.position": {"bandwidth": 1e-3, "damping": 2.0}})
+    assert not [words for words in unlikely(slow) if words.startswith("controller.tracking.feedback")]
+
+
+def decay(scenario: hs.Scenario, *, feedback: float, integral: float) -> float:
+    """Return the largest eigenvalue of a tick of one leg, its delayed commands, b and o: by magnitude."""
+    drive, delay = scenario.actuators.position, round(scenario.actuators.delay / TICK)
+    w = 2.0 * np.pi * drive.bandwidth
+    move, push, *_ = cont2discrete(
+        (np.array([[0.0, 1.0], [-w * w, -2.0 * drive.damping * w]]), np.array([[0.0], [w * w]]), np.eye(2), 0.0), TICK
+    )
+    slower = 2.0 * np.sqrt(max(drive.damping**2 - 1.0, 0.0)) / w
+    ease = 1.0 - np.exp(-TICK / (0.5 * slower)) if slower else 1.0
+
+    def tick(state: NDArray[np.float64]) -> NDArray[np.float64]:
+        leg, late, behind, offset = state[:2], state[2:-2], state[-2], state[-1]
+        behind = behind + ease * (-feedback * leg[0] - behind)
+        offset = offset - integral * TICK * leg[0]
+        return np.concatenate((move @ leg + push[:, 0] * late[-1], [behind + offset], late[:-1], [behind, offset]))
+
+    return float(np.abs(np.linalg.eigvals(np.array([tick(unit) for unit in np.eye(delay + 4)]).T)).max())
+
+
+@pytest.mark.parametrize("feedback", [0.0, 0.5])
+@pytest.mark.parametrize(("bandwidth", "damping", "delay"), [(9.7, 1.1, 1), (23.0, 1.88, 3), (3.0, 0.4, 2)])
+def test_the_margin_of_the_integral_is_where_a_pole_leaves_the_unit_circle(
+    bandwidth: float, damping: float, delay: int, feedback: float
+) -> None:
+    legs = {"actuators.delay": delay * TICK, "actuators.position": {"bandwidth": bandwidth, "damping": damping}}
+    scenario = head(0.0, gains={"feedback": feedback}).updated(legs)
+    margin = hs.integral_margin(scenario)
+    for share, stable in ((0.1, True), (0.5, True), (0.999, True), (1.001, False)):
+        assert (decay(scenario, feedback=feedback, integral=share * margin) < 1.0) == stable, (margin, share)
+    most = hs.feedback_margin(scenario)
+    assert hs.integral_margin(scenario.updated({"controller.tracking.feedback": 1.01 * most})) == 0.0
+
+
+def test_an_integral_at_its_margin_makes_motors_with_friction_oscillate() -> None:
+    """And half of it lets them settle: the response lacks friction and load, so they bear less than a leg of it."""
+    motors = hs.load_scenario("reachy-mini-motors").updated({"actuators.delay": 0.06})
+    margin = hs.integral_margin(motors)
+    half, whole = (
+        hs.metrics(hs.simulate(motors.updated({"controller.tracking.integral": share * margin})))
+        for share in (0.5, 1.0)
+    )
+    print(f"margin {margin:.2f} 1/s, settled after {half['settling_time']} s and {whole['settling_time']} s")
+    assert half["settling_time"] < 2.0
+    assert np.isnan(whole["settling_time"])
+
+
+def test_an_integral_of_more_than_half_its_margin_is_noted() -> None:
+    scenario = head(0.0, gains={"feedback": 0.5})
+    margin = hs.integral_margin(scenario)
+    for share, noted in ((0.49, False), (0.51, True)):
+        sentences = unlikely(scenario.updated({"controller.tracking.integral": share * margin}))
+        assert any(words.startswith("controller.tracking.integral: ") for words in sentences) == noted
+    with pytest.raises(ValueError, match="expected tracking for the margin of its integral, got composite"):
+        hs.integral_margin(hs.load_scenario("pi-h824-positions").updated({"controller.law": "composite"}))
+    with pytest.raises(ValueError, match=r"expected position or position_torque .* got force"):
+        hs.integral_margin(hs.load_scenario("paper"))
+
+
+def test_a_feedback_of_one_is_too_much_for_fast_legs_with_a_held_command() -> None:
+    """Though the gain of such legs is at most 1 at any frequency without the hold: zeta is 0.71."""
+    changes = {
+        "camera.noise": 0.5,
+        "metrics.band": 20.0,
+        "simulation.duration": 5.0,
+        "actuators.delay": 2 * TICK,
+        "actuators.position": {"bandwidth": 36.11, "damping": 0.71},
+    }
+    scenario = head(25.0, gains={"bandwidth": 3.0}).updated(changes)
+    assert hs.feedback_margin(scenario) == pytest.approx(0.919, abs=1e-3)
+    half, one = (hs.simulate(scenario.updated({"controller.tracking.feedback": share})) for share in (0.5, 1.0))
+    assert hs.metrics(half)["settling_time"] < 1.0
+    assert one.outcome != "completed"
+
+
+# ---- Diagnosis ------------------------------------------------------------------------------------------------------
+
+FEEDBACK, INTEGRAL = "controller.tracking.feedback", "controller.tracking.integral"
+TURNING = {"metrics.band": 20.0, "actuators.delay": 3 * TICK, "simulation.duration": 1.5}
+CAUSE = {cause.key: cause for cause in CAUSES}
+
+
+@pytest.mark.parametrize("share", [1.2, 1.5, 2.0])
+def test_a_feedback_or_integral_beyond_its_margin_is_diagnosed(share: float) -> None:
+    scenario = head(25.0, gains={"bandwidth": 3.0}).updated(TURNING)
+    fault = {FEEDBACK: share * hs.feedback_margin(scenario)}
+    diagnosis = hs.diagnose(hs.simulate(scenario.updated(fault)))
+    assert [finding.cause for finding in diagnosis.named] == ["leg_feedback"]
+    motors = hs.load_scenario("reachy-mini-motors")
+    most = hs.integral_margin(motors)
+    (removal,) = CAUSE["leg_feedback"].removals(Case(motors.updated({INTEGRAL: share * most}), None))
+    assert removal.changes == {INTEGRAL: pytest.approx(0.5 * most)}
+
+
+def test_a_feedback_within_half_its_margin_is_no_cause() -> None:
+    scenario = head(25.0, gains={"bandwidth": 3.0}).updated(TURNING)
+    fine = scenario.updated({FEEDBACK: 0.49 * hs.feedback_margin(scenario)})
+    assert CAUSE["leg_feedback"].removals(Case(scenario, None)) == []
+    for law in ("tracking", "resolved_rate"):
+        assert CAUSE["leg_feedback"].removals(Case(fine.updated({"controller.law": law}), None)) == []
+    assert hs.diagnose(hs.simulate(fine)).failed is False
+
+
+def test_a_coarse_step_is_not_named_for_a_feedback_beyond_its_margin() -> None:
+    """It has to fail with the feedback within its margin too, in a run that has the legs and the step as they are."""
+    scenario = hs.load_scenario("reachy-mini-motors")
+    margin = hs.feedback_margin(scenario)
+    for share, pairs in ((0.4, 1), (1.2, 2)):
+        case = Case(scenario.updated({FEEDBACK: share * margin}), None)
+        (removal, *_) = CAUSE["coarse_step"].removals(case)
+        found = alone_pairs(CAUSE["coarse_step"], case, removal)
+        assert len(found) == pairs
+    within = case.scenario.updated(found[-1].alone)
+    assert within.controller.tracking.feedback == pytest.approx(0.5 * margin)
+    assert within.actuators == scenario.actuators
+    assert within.simulation.step == scenario.simulation.step
