@@ -79,7 +79,7 @@ def fmu(scenario: Scenario, *, fmi: Literal[2, 3] = 2, what: UnitKind = "loop") 
     """
     require_scenario(scenario)
     # 2.0 and True equal a version, but are not written as one
-    if type(fmi) is not int or fmi not in _PLATFORM:
+    if repr(fmi) not in map(repr, _PLATFORM):
         raise ValueError(f"fmi: expected 2 or 3, got {fmi!r}")
     if what not in get_args(UnitKind):
         raise ValueError(f"what: expected {', '.join(get_args(UnitKind))}, got {what!r}")
