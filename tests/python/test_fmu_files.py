@@ -17,7 +17,7 @@ from hexservo.run.publish import OutputError
 
 @pytest.mark.parametrize("version", [1, 2.0, 3.0, True, "2"])
 def test_a_version_is_a_whole_number(version: Any) -> None:
-    """2.0 equals a version, but a unit would say that it is one of FMI 2.0.0."""
+    """2.0 equals a version, but a unit would have the version 2.0.0 of FMI."""
     with pytest.raises(ValueError, match=rf"^fmi: expected 2 or 3, got {version!r}$"):
         hs.bridges.fmu(hs.load_scenario("paper"), fmi=version)
 

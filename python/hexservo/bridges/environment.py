@@ -190,11 +190,11 @@ class HexapodVectorEnv(_vector.VectorEnv):  # type: ignore[misc]
                 return left
         raise ValueError(
             f"start_spread: expected starts from which runs go on and see the target, got none in {_DRAWS} draws "
-            f"({why}); choose a smaller start_spread, or a scenario whose camera sees the target from its start"
+            f"({why}); choose a smaller start_spread, or a scenario with the target in view from its start"
         )
 
     def _require_starts(self) -> None:
-        """Refuse what gives no episodes now, not in the middle of a training."""
+        """Refuse a scenario none of whose starts gives an episode, before a training begins."""
         runs, random, draws = _core.SampledRuns(1), np.random.default_rng(self.scenario.seed), _DRAWS
         while True:
             draws = self._draw(runs, 0, random, draws)

@@ -160,7 +160,7 @@ def _parameters(scenario: Scenario, settings: _core.Settings) -> Iterator[UnitVa
     """Yield every key of the core's table that has a finite value and acts in the mode: arrays entry by entry.
 
     Where a scenario has null beside another key (a radius beside joints, a focal length in metres beside one in pixels)
-    the core's value is one of its own, which does not act: such keys are none.
+    the core has its default there, which does not act: such keys are none.
     """
     texts = flat(scenario)
     sampled = scenario.simulation.mode == "sampled"
