@@ -56,6 +56,27 @@ def test_the_continuous_loop_is_the_limit_of_short_ticks(name: str) -> None:
     assert 1.3 < differences[0] / differences[1] < 2.3 or differences[1] < 1e-6, differences
 
 
+def test_small_disturbances_move_a_loop_with_an_implicit_switching_term_less() -> None:
+    """docs/bridges.md: the linear response, with K_v = 0, is that to disturbances well above K_v."""
+    frequency, amplitude, periods = 1.0, 0.02, 4  # [Hz], [m/s^2] along z
+    quiet = {**SETTLED, "camera.noise": 0.0, "sensors.noise": 0.0, "uncertainty.gravity": 0.0}
+    still = hs.load_scenario("composite-30hz").updated({**quiet, "simulation.duration": 2.0 * periods / frequency})
+    shaken = still.updated(
+        {
+            "base_motion.kind": "sinusoid",
+            "base_motion.amplitude": [0.0, 0.0, amplitude],
+            "base_motion.frequency": frequency,
+        }
+    )
+    runs = [hs.simulate(each) for each in (still, shaken)]
+    late = (runs[0].time >= periods / frequency) & (runs[0].time < 2.0 * periods / frequency)
+    turning = np.exp(-2j * np.pi * frequency * runs[0].time[late])
+    moved = (runs[1].position[late, 2] - runs[0].position[late, 2]) * turning
+    loop = hs.bridges.control(still)
+    gain = loop(np.exp(2j * np.pi * frequency * loop.dt))[loop.output_labels.index("pose_z"), 8]
+    assert abs(2.0 * moved.mean()) / (amplitude * abs(gain)) == pytest.approx(0.16, abs=0.02)
+
+
 @pytest.mark.parametrize("name", SAMPLED)
 def test_the_plant_under_constant_inputs_is_exact(name: str) -> None:
     scenario = hs.load_scenario(name)

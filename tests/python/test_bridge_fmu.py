@@ -215,6 +215,12 @@ def test_what_has_no_effect_is_no_parameter(make: Any) -> None:
     sampled = make(hs.load_scenario("paper").updated({**SHORT, "simulation.mode": "sampled"}), 2).instance()
     sampled.start()
     assert {"camera.noise", "camera.latency", "actuators.kind", "sensors.noise"} <= set(sampled.references)
+    joints = make(hs.load_scenario("rubin-camera-hexapod"), 2).instance()
+    joints.start()
+    assert {"robot.platform_joints[1,1]", "camera.focal_pixels[1]", "target.points[1,1]"} <= set(joints.references)
+    stood_in_for = {f"robot.{side}_{key}" for side in ("platform", "base") for key in ("radius", "angles")}
+    stood_in_for |= {"camera.focal_length", "camera.pixel_scale", "target.initial_features", "target.depth"}
+    assert not stood_in_for & {name.split("[")[0] for name in joints.references}
 
 
 @pytest.mark.parametrize("fmi", VERSIONS)

@@ -138,6 +138,8 @@ def test_the_vector_environment_keeps_the_rules_of_gymnasium(scenario: hs.Scenar
     else:
         before = env.step(zero)
         assert (before[1] == 0).all()
+        assert before[3].all()  # the flags of the end
+        assert not before[2].any()
         observed, info = env.reset(options={"reset_mask": np.array([True, False, True])})
         assert info["time"] == pytest.approx([0, scenario.simulation.duration, 0])
         return
@@ -168,6 +170,56 @@ def test_a_failed_run_terminates_its_episode_alone_and_costs_what_is_left(scenar
     assert terminated.tolist() == [True, False]
     left = scenario.simulation.duration - info["time"]
     assert rewards[0] < -10 * left[0] < rewards[1] < 0
+
+
+def test_a_finished_episode_repeats_its_flags(scenario: hs.Scenario) -> None:
+    for push, flags in ((1.0, (True, False)), (0.0, (False, True))):  # thrown out of view, or held to the end
+        env, action = hs.bridges.gymnasium(scenario, action_scale=1e3), np.full(6, push, np.float32)
+        env.reset(seed=1)
+        ended = False
+        while not ended:
+            _, _, terminated, truncated, _ = env.step(action)
+            ended = terminated or truncated
+        assert (terminated, truncated) == flags
+        assert env.step(action)[1:4] == (0.0, *flags)
+
+
+def test_a_start_from_which_the_target_is_not_seen_is_drawn_again() -> None:
+    """With this spread a few of 100 starts look past the target, until the run is over."""
+    scenario = hs.load_scenario("real-machine").updated({"simulation.duration": 0.2})
+    env = hs.bridges.gymnasium(scenario, 16, start_spread=[2e-3] * 3 + [0.35] * 3)
+    for seed in range(0, 160, 16):
+        observed, info = env.reset(seed=seed)
+        assert (info["time"] < 0.15).all()
+        assert (np.abs(observed[:, :8]).max(axis=1) > 1e-3).all()  # at the goal it would be 0
+        again, _ = env.reset(seed=seed)
+        np.testing.assert_array_equal(observed, again)
+
+
+def test_a_start_beyond_the_machine_is_drawn_again_in_training(scenario: hs.Scenario) -> None:
+    stops = scenario.updated({"robot.on_limit": "stop", "simulation.duration": 0.01})
+    env = hs.bridges.gymnasium(stops, 4, start_spread=[4e-3] * 3 + [0.1] * 3)
+    env.reset(seed=0)
+    for _ in range(300):
+        env.step(np.zeros((4, 6), np.float32))
+
+
+@pytest.mark.parametrize(
+    ("changes", "spread", "text"),
+    [
+        ({"camera.dropout": 1.0}, 0.0, r"got none in 100 draws \(runs end before an image of the target arrives\)"),
+        ({"camera.latency": 0.06}, SPREAD, r"got none in 100 draws \(runs end before an image of the target arrives\)"),
+        ({"robot.on_limit": "stop"}, 3.0, r"got none in 100 draws \(simulation\.start"),
+    ],
+)
+def test_no_start_that_gives_an_episode(scenario: hs.Scenario, changes: Any, spread: Any, text: str) -> None:
+    with pytest.raises(ValueError, match=rf"^start_spread: expected starts .*{text}.*; choose a smaller start_spread"):
+        hs.bridges.gymnasium(scenario.updated(changes), 2, start_spread=spread)
+
+
+def test_a_machine_that_takes_positions_is_refused_at_once() -> None:
+    with pytest.raises(ValueError, match=r"^actuators\.kind: expected force .*, got one that takes positions"):
+        hs.bridges.gymnasium(hs.load_scenario("pi-h824-positions"), 2)
 
 
 def test_twists_are_followed(scenario: hs.Scenario) -> None:

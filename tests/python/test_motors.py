@@ -117,7 +117,7 @@ def test_motors_and_platform_move_as_mujoco_s(paper: hs.Scenario, case: str, mac
     changes = {
         "controller__law": "resolved_rate",
         "simulation__duration": 1.0,
-        "simulation__substeps": 10,
+        "simulation__substeps": 2,
         "actuators__delay": 0.002,
         "uncertainty": EXACT,  # which is not in the exported model
         **changes,
@@ -142,6 +142,50 @@ def test_motors_and_platform_move_as_mujoco_s(paper: hs.Scenario, case: str, mac
         assert (np.abs(run.leg_forces) >= limit * (1 - 1e-12)).mean() > 2e-3
     if "friction" in case:
         assert held > 0.1
+
+
+@pytest.mark.usefixtures("baseline")
+def test_motors_as_stiff_as_a_substep_allows_move_as_mujoco_s() -> None:
+    """The exported model's step is the core's: with one step of a substep these motors would be unstable."""
+    motor = {"actuators.kind": "position_torque", "actuators.motor.kp": 2e4, "actuators.motor.kv": 400.0}
+    run_of = {"simulation.substeps": 1, "simulation.duration": 2.0, "simulation.log_every": 1}
+    scenario = hs.load_scenario("pi-h824-positions").updated({**motor, **run_of})
+    settings = core_parameters(scenario)
+    settings["actuators.motor.kv"] *= 1.2
+    assert _core.motor_substeps(settings) == 2  # a fifth more is beyond the limit
+    run = hs.simulate(scenario)
+    delay = round(scenario.actuators.delay / scenario.simulation.step)
+    found = in_mujoco(scenario, commands(scenario), len(run.time), delay, "start", run.leg_lengths[0])
+    difference, moved = (np.abs(run.leg_lengths - other).max() for other in (found, run.leg_lengths[0]))
+    print(f"legs move {moved:.3g} m, difference {difference:.2g} m")
+    assert moved > 4e-3
+    assert difference < 2e-5  # [m]; 2.4e-3 with the step of a substep
+
+
+@pytest.mark.parametrize("machine", ["prismatic", "rotary"])
+def test_the_keys_of_the_exported_model_hold_the_platform(paper: hs.Scenario, machine: str) -> None:
+    """Their commands are as far from the legs as motors need to carry the weight, at rest and in motion."""
+    mujoco = pytest.importorskip("mujoco")
+    changes = {
+        "uncertainty": EXACT,
+        "simulation__substeps": 10,
+        "simulation__start__twist": [0.01, 0.02, -0.01, 0.1, -0.2, 0.3],
+    }
+    scenario = on_motors(paper, STIFF, **changes) if machine == "prismatic" else rotary(STIFF, **changes)
+    model = mujoco.MjModel.from_xml_string(mjcf(scenario))
+    data, settings = mujoco.MjData(model), core_parameters(scenario)
+    hexapod = _core.Hexapod(settings.robot)
+    for key in ("home", "start"):  # of which only the latter moves
+        mujoco.mj_resetDataKeyframe(model, data, mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, key))
+        mujoco.mj_forward(model, data)
+        position, quaternion = data.qpos[:3], data.qpos[3:7]
+        held = hexapod.leg_forces(position, quaternion, settings.plant_body.weight(quaternion))
+        assert np.abs(held).max() > 1e-3
+        np.testing.assert_allclose(data.actuator_force, held, rtol=1e-9, atol=0)
+        assert (np.abs(data.actuator_velocity).max() > 1e-2) == (key == "start")
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_step(model, data, round(0.01 / model.opt.timestep))
+    np.testing.assert_allclose(data.qpos[:3], hexapod.home_position, rtol=0, atol=1e-7)  # rods yield by 1e-8
 
 
 def test_energy_is_conserved_to_second_order(paper: hs.Scenario) -> None:

@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 import hexservo as hs
@@ -273,6 +274,22 @@ def test_a_principal_point_off_the_centre_moves_the_frustum() -> None:
     sides = np.array([left, right, found.frustum_bottom, found.frustum_top]) / found.frustum_near
     first, last = (-0.5 - centre) / focal, (size - 0.5 - centre) / focal  # of the image's corners, y down
     np.testing.assert_allclose(sides, [first[0], last[0], -last[1], -first[1]], rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("moments", [(1.5e-4, 1.5e-4), (1e-4, 2e-4), (2e-5, 2e-4)])
+def test_a_flat_platform_in_any_attitude_is_a_model(moments: tuple[float, float]) -> None:
+    """The largest moment is the sum of the others, to rounding, which MuJoCo does not allow for."""
+    nominal = hs.load_scenario("paper-nominal")
+    for turn in Rotation.random(20, random_state=0).as_matrix():
+        inertia = turn @ np.diag([*moments, sum(moments)]) @ turn.T
+        scenario = nominal.updated({"robot.inertia": ((inertia + inertia.T) / 2.0).tolist()})
+        model = mujoco_model(scenario, 1e-3)
+        np.testing.assert_allclose(np.sort(model.body("platform").inertia), [*moments, sum(moments)], rtol=1e-12)
+
+
+def test_an_inertia_that_is_not_flat_is_written_as_it_is() -> None:
+    scenario = hs.load_scenario("paper-nominal").updated({"robot.inertia": np.diag([1e-4, 2e-4, 2.5e-4]).tolist()})
+    assert 'fullinertia="0.0001 0.0002 0.00025 0.0 0.0 0.0"' in mjcf(scenario)
 
 
 def test_refusals() -> None:

@@ -25,6 +25,7 @@ else:
 __all__ = ["HexapodEnv", "HexapodVectorEnv", "gymnasium"]
 
 _FAILURE = 10.0  # cost of a second that a failed run is short of its duration, in those of a second with error e_0
+_DRAWS = 100  # of an episode's start, until one is such that the target is seen
 _SHARE = 0.1  # of a twist error that the velocity servo takes away in a tick
 _TWIST_SCALE = np.repeat([0.1, 0.5], 3)  # [m/s; rad/s]
 _MODES = {"next_step": "NEXT_STEP", "same_step": "SAME_STEP", "disabled": "DISABLED"}
@@ -80,11 +81,13 @@ class HexapodVectorEnv(_vector.VectorEnv):  # type: ignore[misc]
         batched = _vector.utils.batch_space
         self.observation_space = batched(self.single_observation_space, num_envs)
         self.action_space = batched(self.single_action_space, num_envs)
+        _core.SampledRun(self._settings)  # refuses what no draw of a start would change
+        self._require_starts()
         self._runs = _core.SampledRuns(num_envs)
         self._generators: list[np.random.Generator] = []
         self._seen: Array = np.zeros((num_envs, len(self._desired)))  # newest features that were usable
         self._states: dict[str, NDArray[Any]] = {}
-        self._over: Mask = np.zeros(num_envs, dtype=bool)
+        self._over: Mask = np.zeros(num_envs, dtype=bool)  # episodes at whose end their environment is
 
     def reset(
         self, *, seed: int | np.integer[Any] | list[int | None] | None = None, options: dict[str, Any] | None = None
@@ -101,7 +104,8 @@ class HexapodVectorEnv(_vector.VectorEnv):  # type: ignore[misc]
         Raises
         ------
         ValueError
-            "seed: expected ..., got ..." for other seeds, and a mask of another shape.
+            "seed: expected ..., got ..." for other seeds, a mask of another shape, and "start_spread: expected ..., got
+            ..." where no draw of a start gives an episode.
         """
         seeds = _seeds(seed, self.num_envs)
         if not self._generators:
@@ -125,7 +129,8 @@ class HexapodVectorEnv(_vector.VectorEnv):  # type: ignore[misc]
         Returns
         -------
         tuple
-            Observations, rewards, terminated, truncated, and infos with ``time`` [s].
+            Observations, rewards, terminated, truncated, and infos with ``time`` [s]. Without autoreset an episode
+            that has ended repeats its flags, with reward 0.
         """
         if not self._states:
             raise gym.error.ResetNeeded("call reset before step")
@@ -144,31 +149,57 @@ class HexapodVectorEnv(_vector.VectorEnv):  # type: ignore[misc]
         self._runs.command(wanted)
         self._read()
         over = ~self._states["running"]
-        truncated = over & self._states["at_end"] & ~before
-        terminated = over & ~truncated & ~before
+        if self._mode == "next_step":
+            over &= ~before  # these begin again in this step
+        truncated = over & self._states["at_end"]
+        terminated = over & ~truncated
         left = np.maximum(self._duration - self._states["time"], 0.0)
         rewards = np.where(before, 0.0, -self._tick * error - np.where(terminated, _FAILURE * left, 0.0))
-        self._over = terminated | truncated
+        self._over = over
         info: dict[str, Any] = {}
         if self._mode == "next_step" and before.any():
             self._begin(before)
-        elif self._mode == "same_step" and self._over.any():
-            over = self._over
+        elif self._mode == "same_step" and over.any():
             info = self._final(over)
             self._begin(over)
-        elif self._mode == "disabled":
-            self._over = self._over | before
         return self._observed(), rewards, terminated, truncated, {**self._info(), **info}
 
     def _begin(self, mask: Mask) -> None:
-        for index in np.flatnonzero(mask):
-            random = self._generators[index]
+        waiting, draws = np.flatnonzero(mask), np.full(self.num_envs, _DRAWS)
+        while len(waiting):
+            for index in waiting:
+                draws[index] = self._draw(self._runs, int(index), self._generators[index], int(draws[index]))
+            self._read()
+            waiting = waiting[~self._states["running"][waiting]]
+        self._over = self._over & ~mask
+
+    def _draw(self, runs: _core.SampledRuns, place: int, random: np.random.Generator, draws: int) -> int:
+        """Start a run at a place with a seed and a start that the core takes, and return how many draws are left.
+
+        A run that is over then ends before its first image.
+        """
+        why = "runs end before an image of the target arrives"
+        for left in range(draws - 1, -1, -1):
             self._settings["seed"] = int(random.integers(2**63))
             self._settings["simulation.start.pose"] = self._start + self._spread * random.uniform(-1.0, 1.0, 6)
-            self._runs.start(int(index), self._settings)
-            self._seen[index] = self._desired  # where a target is never seen the error is 0
-        self._over = self._over & ~mask
-        self._read()
+            try:
+                runs.start(place, self._settings)
+            except ValueError as error:
+                why = str(error)
+            else:
+                return left
+        raise ValueError(
+            f"start_spread: expected starts from which runs go on and see the target, got none in {_DRAWS} draws "
+            f"({why}); choose a smaller start_spread, or a scenario with the target in view from its start"
+        )
+
+    def _require_starts(self) -> None:
+        """Refuse a scenario none of whose starts gives an episode, before a training begins."""
+        runs, random, draws = _core.SampledRuns(1), np.random.default_rng(self.scenario.seed), _DRAWS
+        while True:
+            draws = self._draw(runs, 0, random, draws)
+            if runs.rows()["running"][0]:
+                return
 
     def _read(self) -> None:
         self._states = self._runs.rows()
@@ -255,9 +286,11 @@ def gymnasium(
         (6,) or one number. None: the largest wrench of the legs at home, along each axis, or 0.1 m/s and 0.5 rad/s.
     start_spread
         (6,) or one number [m; rad]: an episode starts at the scenario's start plus a displacement in B, uniform
-        within plus and minus it.
+        within plus and minus it. One from which the run cannot go on, or ends before the target is seen, is drawn
+        again, up to 100 times.
     autoreset
-        Gymnasium's `AutoresetMode` of the vector environment; a single one has none.
+        Gymnasium's `AutoresetMode` of the vector environment; a single one has none, and stepped after the end of its
+        episode it repeats the flags of the end, with reward 0.
 
     Returns
     -------
@@ -275,7 +308,8 @@ def gymnasium(
     TypeError
         For anything but a `Scenario`, and a number of environments that is no integer.
     ValueError
-        For values that are not as above, for `autoreset` without `num_envs`, and what the core refuses.
+        For values that are not as above, for `autoreset` without `num_envs`, for a scenario whose machine takes
+        positions, where no start of 100 gives an episode, and what the core refuses.
     """
     if num_envs is None:
         if autoreset != "next_step":

@@ -7,7 +7,9 @@ import io
 import os
 import uuid
 import zipfile
+import zlib
 from collections.abc import Iterator
+from operator import attrgetter
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -50,8 +52,8 @@ def fmu(scenario: Scenario, *, fmi: Literal[2, 3] = 2, what: UnitKind = "loop") 
     ----------
     scenario
         What the unit starts with. Every key of the core that holds numbers or a name is a parameter, array entries one
-        by one: ``robot.mass`` [kg], ``uncertainty.gravity[3]``. In continuous mode those that act in sampled mode alone
-        are none.
+        by one: ``robot.mass`` [kg], ``uncertainty.gravity[3]``. Keys that are null in the scenario are none, nor are in
+        continuous mode those that act in sampled mode alone.
     fmi
         Version of the standard: 2 (2.0) or 3 (3.0).
     what
@@ -76,7 +78,8 @@ def fmu(scenario: Scenario, *, fmi: Literal[2, 3] = 2, what: UnitKind = "loop") 
         Where the package was built without `c_library`, which the unit contains.
     """
     require_scenario(scenario)
-    if fmi not in _PLATFORM:
+    # 2.0 and True equal a version, but are not written as one
+    if repr(fmi) not in map(repr, _PLATFORM):
         raise ValueError(f"fmi: expected 2 or 3, got {fmi!r}")
     if what not in get_args(UnitKind):
         raise ValueError(f"what: expected {', '.join(get_args(UnitKind))}, got {what!r}")
@@ -143,20 +146,29 @@ def _packed(files: dict[str, bytes]) -> bytes:
 def _is_ours(path: Path) -> bool:
     try:
         with zipfile.ZipFile(path) as archive:
-            return archive.read("resources/model.txt").startswith(f"{_TITLE}\n".encode())
+            entry = archive.getinfo("resources/model.txt")
+            if entry.compress_type != zipfile.ZIP_DEFLATED:  # ours are packed so, and other methods have other errors
+                return False
+            return archive.read(entry).startswith(f"{_TITLE}\n".encode())
     except (OSError, KeyError, zipfile.BadZipFile):
+        return False
+    except (zlib.error, EOFError, RuntimeError, ValueError):  # damaged or encrypted
         return False
 
 
 def _parameters(scenario: Scenario, settings: _core.Settings) -> Iterator[UnitVariable]:
-    """Yield every key of the core's table that has a finite value and acts in the mode: arrays entry by entry."""
+    """Yield every key of the core's table that has a finite value and acts in the mode: arrays entry by entry.
+
+    Where a scenario has null beside another key (a radius beside joints, a focal length in metres beside one in pixels)
+    the core has its default there, which does not act: such keys are none.
+    """
     texts = flat(scenario)
     sampled = scenario.simulation.mode == "sampled"
     for key in _core.scenario_keys(settings.law):
         text = texts[key.name]
         if key.type not in _TYPES or key.name in _LEFT_OUT or (text == "none" and key.type != "choice"):
             continue
-        if key.sampled and not sampled:
+        if (key.sampled and not sampled) or attrgetter(key.name)(scenario) is None:
             continue
         kind = _TYPES[key.type]
         if kind == "text":

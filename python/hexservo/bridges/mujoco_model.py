@@ -28,6 +28,7 @@ _LIGHT = 3e-6  # inertia of a crank, of that of the platform as a mass at its en
 _YIELD = 1e-6  # of a crank's length, by which rods may yield under the weight
 _IMPEDANCE = 0.9999  # largest share of a constraint's acceleration that MuJoCo enforces
 _SOLVER = ' solver="Newton" tolerance="0" iterations="100"'
+_ROUNDING = 1e-14  # of a principal moment of inertia, as MuJoCo finds it
 _PIXEL = 1e-5  # [m], width of a sensor's pixel, which has no effect on the image
 
 
@@ -39,12 +40,13 @@ def mjcf(scenario: Scenario) -> str:
     motor of gear 1: its control is the leg force [N], positive where it pushes, or where ``actuators.kind`` is
     position_torque the leg's commanded length [m] (of a crank its angle). Tendons have no mass, as the legs of
     the model (docs/model.md, section 3), and close the chain by their force alone: nothing is added to the machine, no
-    leg mass and no equality constraint. Integrator and step are those of the scenario, so that MuJoCo follows the
-    plant to rounding under leg forces that are constant over a step.
+    leg mass and no equality constraint. The step is that of the scenario's plant and the integrator RK4, so that MuJoCo
+    follows the plant to rounding under leg forces that are constant over a step. Where ``actuators.kind`` is
+    position_torque the plant takes 8 steps in a substep, and so does the model.
 
     A rotary leg is a crank on a hinge, with a motor whose control is its torque [N m], and a rod: a tendon whose length
     an equality constraint keeps. MuJoCo takes neither cranks without inertia nor constraints that do not yield: the
-    cranks have 3e-6 of the platform's inertia, and the step is a whole part of the scenario's, so short that rods
+    cranks have 3e-6 of the platform's inertia, and the step is a whole part of the one above, so short that rods
     yield by less than 1e-6 of a crank's length under the weight.
 
     Not in the model: the controller, errors of the estimate (``uncertainty``), sensors' faults, motion of the base, and
@@ -65,7 +67,7 @@ def mjcf(scenario: Scenario) -> str:
         those of the platform; camera ``camera``; sensors ``image1`` and so on, the pixels of the target's points from
         the top left corner of the image [px], where the principal point is the
         centre of the image; keyframes ``home`` and ``start``, the start of the scenario's run, with the leg forces that
-        hold the platform there.
+        hold the platform there, or the commands at which the motors of position_torque give these.
 
     Raises
     ------
@@ -85,12 +87,11 @@ def mjcf(scenario: Scenario) -> str:
             "camera.convention: expected eye_in_hand for MJCF, got as_printed, whose target has no points in space"
         )
     settings, hexapod, body = scene.settings, scene.hexapod, scene.settings.plant_body
-    substeps = settings["simulation.substeps"] if settings["simulation.mode"] == SAMPLED_MODE else 1
-    step = float(settings["simulation.step"]) / substeps
+    step = _step(settings)
     cranks = _Cranks(scene, step) if hexapod.rotary else None
     step = step if cranks is None else cranks.step
     c = np.array(body.centre_of_mass)
-    inertia = body.inertia - body.mass * (c @ c * np.eye(3) - np.outer(c, c))  # about the centre of mass
+    inertia = _inertia(body)
     reach = hexapod.platform_radius
     # MuJoCo's sensor of an image does not know the principal point
     seen = 0 if _off_centre(scenario, _image_size(scenario)).any() else len(scene.points)
@@ -220,6 +221,27 @@ class _Cranks:
         ]
 
 
+def _step(settings: _core.Settings) -> float:
+    """Return the step in which the scenario's plant moves [s]."""
+    steps = settings["simulation.substeps"] if settings["simulation.mode"] == SAMPLED_MODE else 1
+    if settings["actuators.kind"] == "position_torque":
+        steps *= _core.MOTOR_STEPS  # with one of a substep, motors that the core follows would be unstable
+    return float(settings["simulation.step"]) / steps
+
+
+def _inertia(body: _core.RigidBody) -> Array:
+    """Return a body's inertia about its centre of mass (3, 3) [kg m^2], so that MuJoCo takes it.
+
+    The core lets the largest principal moment exceed the sum of the other two by rounding, as that of a flat body may;
+    MuJoCo does not. There all three are larger by what is missing.
+    """
+    c = np.array(body.centre_of_mass)
+    inertia = body.inertia - body.mass * (c @ c * np.eye(3) - np.outer(c, c))
+    least, middle, largest = np.linalg.eigvalsh(inertia)
+    missing = largest - middle - least + _ROUNDING * largest
+    return np.asarray(inertia + max(0.0, missing) * np.eye(3))
+
+
 def _text(numbers: Any) -> str:
     return " ".join(repr(float(number)) for number in np.ravel(numbers))
 
@@ -289,21 +311,20 @@ def _camera(scenario: Scenario, settings: _core.Settings) -> str:
 
 
 def _keys(scene: Scene, twist: Array) -> list[str]:
-    hexapod, body = scene.hexapod, scene.settings.plant_body
-    positions = scene.scenario.actuators.takes_positions
+    hexapod, body, actuators = scene.hexapod, scene.settings.plant_body, scene.scenario.actuators
 
     def key(name: str, pose: Poses, twist: Array) -> str:
         # MuJoCo's angular velocity is in the body's frame
         spin = Rotation.from_quat(pose.quaternion[[1, 2, 3, 0]]).inv().apply(twist[3:])
         at = pose.position, pose.quaternion
-        lengths = hexapod.leg_lengths(*at)
-        control = lengths if positions else hexapod.leg_forces(*at, body.weight(pose.quaternion))
-        angles, rates = np.empty(0), np.empty(0)
-        if hexapod.rotary:
-            angles, rates = lengths, hexapod.wrench_map(*at).T @ twist
+        lengths, rates = hexapod.leg_lengths(*at), hexapod.wrench_map(*at).T @ twist
+        control = hexapod.leg_forces(*at, body.weight(pose.quaternion))
+        if actuators.takes_positions:  # the command at which the motors give these forces
+            control = lengths + (control + actuators.motor.kv * rates) / actuators.motor.kp
+        of_cranks = (lengths, rates) if hexapod.rotary else ((), ())
         return (
-            f'    <key name="{name}" qpos="{_text([*pose.position, *pose.quaternion, *angles])}" '
-            f'qvel="{_text([*twist[:3], *spin, *rates])}" ctrl="{_text(control)}"/>'
+            f'    <key name="{name}" qpos="{_text([*pose.position, *pose.quaternion, *of_cranks[0]])}" '
+            f'qvel="{_text([*twist[:3], *spin, *of_cranks[1]])}" ctrl="{_text(control)}"/>'
         )
 
     return [key("home", scene.home, np.zeros(6)), key("start", scene.start, twist)]

@@ -40,7 +40,8 @@ def control(scenario: Scenario, of: Literal["loop", "plant"] = "loop", *, sample
 
     It is the linearisation of `hexservo analyse`, by differences of the core about the pose at which the loop rests:
     its matrices, and so its eigenvalues, are those of the analysis. Where the switching term has a slope at rest
-    (``tanh``, ``saturation``) it acts with that, else K_v = 0.
+    (``tanh``, ``saturation``) it acts with that, else K_v = 0. Then the response of the loop is that to disturbances
+    well above K_v: of smaller ones the switching term takes most away.
 
     Parameters
     ----------
