@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.text import Text
 from typer.testing import CliRunner
 
 import hexservo as hs
@@ -348,6 +349,19 @@ def test_the_figure_shows_every_run(comparison: hs.Comparison) -> None:
     drawn_errors = np.asarray(line.get_ydata())
     assert drawn_errors[-1] == row.error[-1]
     assert drawn_errors.max() == row.error[row.time >= 0.01].max()
+
+
+def test_names_are_drawn_as_they_are_written(paper: hs.Scenario) -> None:
+    r"""Two dollar signs make no formula of them, which need not be one: \q is an error."""
+    names = [r"costs $\q$", r"one $ and \$ one", "plain"]
+    scenario = paper.updated({"simulation.mode": "sampled", "simulation.duration": 0.01})
+    compared = hs.compare([scenario], [], controllers=dict.fromkeys(names, lambda seen: np.zeros(6)))
+    figure = compared.figure()
+    FigureCanvasAgg(figure).draw()
+    texts = [text for text in figure.findobj(Text) if isinstance(text, Text)]
+    drawn = {text._preprocess_math(text.get_text()) for text in texts}  # type: ignore[attr-defined]
+    assert {(name, False) for name in names} <= drawn
+    assert all(text.startswith("$10^") for text, is_formula in drawn if is_formula)
 
 
 def test_no_texts_of_the_figure_overlap() -> None:
