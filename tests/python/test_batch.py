@@ -583,6 +583,15 @@ def test_a_dataset_shares_no_memory_with_the_batch(smooth: hs.Scenario, log: Log
         ({"uncertainty.depth": [[0.1], [0.2, 0.3]]}, r"^uncertainty.depth: expected an array of numbers, got"),
         ({"uncertainty.depth": ["0.1"]}, r"^uncertainty.depth: expected an array of numbers, got"),
         ({"uncertainty.depth": [True]}, r"^uncertainty.depth: expected an array of numbers, got"),
+        (
+            {"uncertainty.depth": np.ma.masked_array([0.1, 0.9], mask=[0, 1])},
+            r"^scenario 1: uncertainty.depth: expected a number .*, got a masked value$",
+        ),
+        (
+            {"controller.hybrid.kv": np.ma.masked_less(np.array([[2.0, 2.0, 2.0, 1.0, 2.0, 2.0]]), 2.0)},
+            r"^scenario 0: controller.hybrid.kv\[3\]: expected a number .*, got a masked value$",
+        ),
+        ({"seed": np.ma.masked_array(3, mask=True)}, r"^seed: expected an integer .*, got a masked value$"),
         ({"uncertainty.depth": [0.1, np.nan]}, r"^scenario 1: uncertainty.depth: expected a number .*, got nan$"),
         ({"uncertainty.depth": [0.1, 0.2, -1.0]}, r"^scenario 2: uncertainty.depth: expected a number > -1 .* got -1$"),
         (
