@@ -25,7 +25,7 @@ from hexservo.scenario.yaml import ScenarioError, dump_yaml, read_yaml
 if TYPE_CHECKING:
     import pyarrow as pa
 
-__all__ = ["PLAN", "Store", "read_plan"]
+__all__ = ["PLAN", "Store", "contents", "read_plan"]
 
 FORMAT = 1
 """Of a campaign's folder: raised with every change of what a chunk holds."""
@@ -246,6 +246,11 @@ def remove_drafts(folder: Path) -> None:
         for entry in folder.iterdir():
             if entry.name.startswith(".") and entry.name.endswith(_PART):
                 entry.unlink()
+
+
+def contents(folder: Path) -> list[str]:
+    """Return the names of what a campaign's folder has, chunks as a pattern: before the first run not all is there."""
+    return [name for name in (PLAN, SUMMARY, WORST, "chunks/*.parquet") if any(folder.glob(name))]
 
 
 def new_record(plan: CampaignPlan) -> dict[str, Any]:
