@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from hexservo.scenario.arrays import Array, real_numbers
 from hexservo.scenario.plain import plain
+from hexservo.scenario.reading import path_text
 from hexservo.scenario.rules import shown_value
 from hexservo.scenario.yaml import ScenarioError, load_yaml, read_text
 
@@ -90,7 +91,7 @@ def camera_from_file(path: str | os.PathLike[str]) -> dict[str, Any]:
     ScenarioError
         A file that cannot be read, or the first thing that is wrong with it.
     """
-    source = os.fsdecode(path)
+    source = path_text("path", path)
     text = read_text(path, "YAML").removeprefix("\ufeff")
     text = re.sub(r"\A%YAML[^\n]*\n", "", text)  # %YAML:1.0 is none; a matrix is a mapping all the same
     document = load_yaml(re.sub(r"(?m)^(\s*\w+\s*:)\s*!!opencv-(?:nd-)?matrix\s*$", r"\1", text), source)
