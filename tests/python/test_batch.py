@@ -584,7 +584,7 @@ def test_a_dataset_shares_no_memory_with_the_batch(smooth: hs.Scenario, log: Log
         ({"uncertainty.depth": ["0.1"]}, r"^uncertainty.depth: expected an array of numbers, got"),
         ({"uncertainty.depth": [True]}, r"^uncertainty.depth: expected an array of numbers, got"),
         (
-            {"uncertainty.depth": np.ma.masked_array([0.1, 0.9], mask=[0, 1])},
+            {"uncertainty.depth": np.ma.masked_array([0.1, 0.9], mask=[False, True])},
             r"^scenario 1: uncertainty.depth: expected a number .*, got a masked value$",
         ),
         (

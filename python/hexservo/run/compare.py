@@ -220,9 +220,9 @@ def _run(
             yield index, _row_of(row, result)
         return
     scenarios = [row.scenario for _, row in group]
-    raised: list[Exception] = []  # by the function that is told of the progress, which may raise a ValueError too
+    raised: list[Exception] = []  # by the function that reports the progress, which may raise a ValueError too
 
-    def told(done: int, count: int) -> None:
+    def watched(done: int, count: int) -> None:
         try:
             report(done)
         except Exception as error:
@@ -230,7 +230,7 @@ def _run(
             raise
 
     try:
-        batch = simulate_batch(scenarios[0], variations_of(scenarios), "trajectory", threads, told)
+        batch = simulate_batch(scenarios[0], variations_of(scenarios), "trajectory", threads, watched)
     except ValueError:  # these scenarios fit no batch
         if raised:
             raise

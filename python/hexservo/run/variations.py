@@ -117,7 +117,7 @@ def known_key(key: object, law: str, points: int = 4) -> NumericKey:
 def _array(key: str, rule: NumericKey, given: ArrayLike) -> NDArray[Any]:
     """Check shape and values against the scenario's own rules for the key."""
     if np.ma.is_masked(given):
-        scenario, entry = _named(tuple(np.argwhere(np.ma.getmaskarray(given))[0]))
+        scenario, entry = _named(tuple(np.argwhere(np.ma.getmaskarray(np.ma.asarray(given)))[0]))
         raise ValueError(f"{scenario}{key}{entry}: expected {rule.expected}, got a masked value")
     if rule.whole and not isinstance(given, np.ndarray):
         for index, item in enumerate(np.asarray(given, dtype=object).flat):
