@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +51,7 @@ class Stages:
 
     def finite(self) -> Stages:
         """Return the steps whose numbers are all finite: of a run that diverges, longer steps may leave the floats."""
-        arrays = {name: value for name, value in vars(self).items() if isinstance(value, np.ndarray)}
+        arrays: dict[str, Any] = {name: value for name, value in vars(self).items() if isinstance(value, np.ndarray)}
         rows: Mask = np.ones(len(self.tick), dtype=bool)
         for value in arrays.values():
             rows &= np.isfinite(value).reshape(len(rows), -1).all(axis=1)
