@@ -530,11 +530,26 @@ def test_dataset(smooth: hs.Scenario, log: Log, tmp_path: Any) -> None:
         np.testing.assert_array_equal(data["metric_final_error"], batch.metrics["final_error"])
         assert data["metric_final_error"].attrs["units"] == "px"
         assert hs.Scenario.from_yaml(data.attrs["scenario"]) == smooth
+        table = batch.to_dataframe()
+        assert data.attrs["controller"] == table.attrs["controller"] == "hybrid"
+        for name in ("cause", "limit_leg", "end_time", "stop_time"):
+            np.testing.assert_array_equal(data[name], table[name])
+            assert data[name].attrs.get("units") == table.attrs["units"].get(name)
         for name, values in batch.samples.items():
             np.testing.assert_array_equal(data[name], values)
             assert data[name].dims[0] == "scenario"
             assert (log == "trajectory" and name != "fuzzy_weights") == ("time" in data[name].dims)
             assert data[name].attrs["units"]
+
+
+@pytest.mark.parametrize("log", ["final", "trajectory"])
+def test_a_dataset_shares_no_memory_with_the_batch(smooth: hs.Scenario, log: Log) -> None:
+    batch = hs.simulate_batch(smooth, {"uncertainty.depth": np.array([0.1, 0.2])}, log=log)
+    dataset = batch.to_xarray()
+    arrays = [*batch.variations.values(), *batch.metrics.values(), *batch.samples.values()]
+    arrays += [batch.limit_leg, batch.end_time, batch.stop_time, *([] if batch.time is None else [batch.time])]
+    for variable in dataset.variables.values():
+        assert not any(np.shares_memory(variable.values, array) for array in arrays)
 
 
 # ---- Refusals -------------------------------------------------------------------------------------------------------
@@ -572,6 +587,19 @@ def test_dataset(smooth: hs.Scenario, log: Log, tmp_path: Any) -> None:
         ),
         ({"uncertainty.depth": ["0.1"]}, r"^uncertainty.depth: expected an array of numbers of shape \(n,\).*, got"),
         ({"uncertainty.depth": [True]}, r"^uncertainty.depth: expected an array of numbers of shape \(n,\).*, got"),
+        (
+            {"uncertainty.depth": [[0.1], [0.2, 0.3]]},
+            r"^uncertainty.depth: expected an array of numbers of shape \(n,\).*, got",
+        ),
+        (
+            {"uncertainty.depth": np.ma.masked_array([0.1, 0.9], mask=[False, True])},
+            r"^scenario 1: uncertainty.depth: expected a number .*, got a masked value$",
+        ),
+        (
+            {"controller.hybrid.kv": np.ma.masked_less(np.array([[2.0, 2.0, 2.0, 1.0, 2.0, 2.0]]), 2.0)},
+            r"^scenario 0: controller.hybrid.kv\[3\]: expected a number .*, got a masked value$",
+        ),
+        ({"seed": np.ma.masked_array(3, mask=True)}, r"^seed: expected an integer .*, got a masked value$"),
         ({"uncertainty.depth": [0.1, np.nan]}, r"^scenario 1: uncertainty.depth: expected a number .*, got nan$"),
         ({"uncertainty.depth": [0.1, 0.2, -1.0]}, r"^scenario 2: uncertainty.depth: expected a number > -1 .* got -1$"),
         (

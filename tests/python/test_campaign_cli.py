@@ -111,6 +111,23 @@ def test_ctrl_c_ends_a_campaign_and_keeps_its_runs(tmp_path: Path) -> None:
     assert kept >= 40
 
 
+def test_a_campaign_without_runs_names_the_files_that_are_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    campaign = hs.campaign
+
+    def interrupt(done: int, count: int) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(hs, "campaign", lambda *given, **options: campaign(*given, **options | {"progress": interrupt}))
+    out = tmp_path / "out"
+    code, shown, err = invoke("campaign", "campaign-composite-30hz", "--chunk-size", "100000", "--out", str(out))
+    assert code == 130
+    assert err.startswith("Interrupted: 0 of ")
+    assert f"campaign.yaml and summary.json are in {out} (" in shown
+    assert sorted(path.name for path in out.iterdir() if path.is_file()) == ["campaign.yaml", "summary.json"]
+
+
 # ---- The page -------------------------------------------------------------------------------------------------------
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import hexservo as hs
+from hexservo.campaigns.drawing import with_unit
 from hexservo.campaigns.intervals import anytime_interval
 from hexservo.campaigns.pictures import campaign_sections, influential
 from hexservo.draw.evidence import item_figure
@@ -57,6 +58,29 @@ def test_the_curves_are_those_of_the_runs(result: hs.CampaignResult) -> None:
     passes, fails = found["Runs in the plane of both"].lines
     assert (passes.name, fails.name) == ("passes", "fails")
     assert len(fails.x) == min(result.failures, 600)
+
+
+def test_what_varies_has_its_unit(result: hs.CampaignResult, paper: hs.Scenario) -> None:
+    plane = curves_of(result)["Runs in the plane of both"]
+    names = [name for name, _ in influential(result)]
+    assert [plane.x_label, plane.y_label] == [with_unit(result.plan.scenario, name) for name in names]
+    page = hs.write_campaign_report(result).read_text(encoding="utf-8")
+    for key in result.plan.vary:
+        assert with_unit(result.plan.scenario, key) in page
+    cranks = hs.load_scenario("reachy-mini-motors")
+    for scenario, name, unit in (
+        (paper, "robot.stroke", " [m]"),
+        (cranks, "robot.stroke", " [rad]"),
+        (paper, "camera.noise", " [px]"),
+        (paper, "uncertainty.gravity[2]", " [1]"),
+        (paper, "controller.hybrid.kv", " [N; N m]"),
+        (paper, "controller.hybrid.kv[2]", " [N]"),
+        (paper, "simulation.start.pose[3]", " [rad]"),
+        (paper, "target.translation[0]", " [m]"),
+        (paper, "target.rotation[0]", " [rad]"),
+        (paper, "controller.hybrid.auto.bandwidth", " [Hz]"),
+    ):
+        assert with_unit(scenario, name) == name + unit
 
 
 def test_the_most_influential_number_is_found(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 import hexservo as hs
 from hexservo.findings.certificate.energy import COARSE, EnergyLedger, energy_ledger
 from hexservo.findings.certificate.replay import Plant, replay, replay_of
+from hexservo.findings.certificate.stages import doubled_stages_of
 from hexservo.findings.evidence import Curves, Table
 from hexservo.scenario.wording import joules
 
@@ -439,6 +440,31 @@ def test_a_step_that_is_too_coarse_is_flagged(paper: hs.Scenario) -> None:
     ledger = ledger_of(scenario)
     assert not ledger.closes
     assert any("too coarse" in fault for fault in ledger.faults), ledger.faults
+
+
+def test_a_run_that_diverges_is_certified_though_longer_steps_leave_the_finite_numbers(paper: hs.Scenario) -> None:
+    """Its tolerance is at least the error of its steps: the residual is within the sum of their absolute parts."""
+    scenario = varied(
+        paper,
+        {
+            "controller.switching.kind": "tanh",
+            "controller.hybrid.kp": 5e-6,
+            "controller.hybrid.kv": [2e-4, 2e-4, 2e-4, 1e-5, 1e-5, 1e-5],
+            "controller.hybrid.fuzzy.adaptation": 0.01,
+            "simulation.step": 0.002,
+        },
+    )
+    result = hs.simulate(scenario)
+    assert result.outcome == "diverged"
+    run = replay(result)
+    doubled = list(doubled_stages_of(run))
+    assert sum(len(stages.finite().tick) for stages in doubled) < sum(len(stages.tick) for stages in doubled)
+    certificate = hs.certify(result)
+    assert certificate.lyapunov is not None
+    assert certificate.energy is not None
+    assert abs(certificate.energy.residual) <= certificate.energy.tolerance < np.inf
+    empty = replace(doubled[0], quaternion=np.full_like(doubled[0].quaternion, np.nan)).finite()
+    assert Plant.of(run).inertia(empty.rows("quaternion")).shape == (0, 6, 6)
 
 
 def test_the_section_reports_the_energy_balance(paper: hs.Scenario) -> None:

@@ -620,6 +620,19 @@ def test_standard_output_on_a_full_disk(tmp_path: Path, arguments: list[str]) ->
     assert done.stderr == "Error: standard output: cannot be written: No space left on device\n"
 
 
+def test_standard_output_that_is_closed(tmp_path: Path) -> None:
+    done = subprocess.run(
+        ["sh", "-c", 'exec "$@" >&-', "sh", sys.executable, "-m", "hexservo", "show", "paper"],
+        cwd=tmp_path,
+        env=environment(),
+        stderr=subprocess.PIPE,
+        encoding="utf-8",
+        timeout=60,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (2, "Error: standard output: cannot be written: it is closed\n")
+
+
 def test_text_that_the_terminal_has_no_characters_for(tmp_path: Path) -> None:
     shown = process("show", "paper", "--set", "description=ξ", cwd=tmp_path, PYTHONIOENCODING="ascii")
     assert shown.returncode == 0

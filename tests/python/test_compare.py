@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.text import Text
 from typer.testing import CliRunner
 
 import hexservo as hs
@@ -190,6 +191,25 @@ def test_progress_counts_runs() -> None:
     assert [done for done, _ in told] == sorted(done for done, _ in told)
 
 
+def test_what_the_progress_function_raises_ends_the_comparison() -> None:
+    told = []
+
+    def stop(done: int, count: int) -> None:
+        told.append(done)
+        if done:
+            raise ValueError("enough")
+
+    with pytest.raises(ValueError, match=r"^enough$"):
+        hs.compare(["paper", "paper-minus"], ["hybrid"], SHORT, progress=stop)
+    assert len([done for done in told if done]) == 1
+
+
+@pytest.mark.parametrize("threads", [0, -3, 5000])
+def test_threads_are_checked_before_any_run(threads: int) -> None:
+    with pytest.raises(ValueError, match=rf"^threads: expected an integer from 1 to 1024, got {threads}$"):
+        hs.compare(["paper"], ["hybrid"], SHORT, threads=threads)
+
+
 @pytest.mark.parametrize(
     ("scenarios", "laws", "words"),
     [
@@ -221,6 +241,15 @@ def test_text_in_place_of_a_list_is_refused() -> None:
         hs.compare(["paper"], 3)  # type: ignore[arg-type]
     with pytest.raises(TypeError, match="progress: expected"):
         hs.compare(["paper"], ["hybrid"], SHORT, progress=3)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="controllers: expected names that are text, got int"):
+        hs.compare(["paper"], ["hybrid"], SHORT, controllers={5: lambda seen: np.zeros(6)})  # type: ignore[dict-item]
+
+
+def test_laws_may_come_from_an_iterator() -> None:
+    changes = {"simulation.duration": 0.01}
+    assert hs.compare(["paper"], (law for law in ["composite", "hybrid"]), changes).laws == ("composite", "hybrid")
+    with pytest.raises(ValueError, match="laws: expected at least one, each once, got none"):
+        hs.compare(["paper"], iter([]))
 
 
 # ---- Tables and pictures --------------------------------------------------------------------------------------------
@@ -320,6 +349,19 @@ def test_the_figure_shows_every_run(comparison: hs.Comparison) -> None:
     drawn_errors = np.asarray(line.get_ydata())
     assert drawn_errors[-1] == row.error[-1]
     assert drawn_errors.max() == row.error[row.time >= 0.01].max()
+
+
+def test_names_are_drawn_as_they_are_written(paper: hs.Scenario) -> None:
+    r"""Two dollar signs make no formula of them, which need not be one: \q is an error."""
+    names = [r"costs $\q$", r"one $ and \$ one", "plain"]
+    scenario = paper.updated({"simulation.mode": "sampled", "simulation.duration": 0.01})
+    compared = hs.compare([scenario], [], controllers=dict.fromkeys(names, lambda seen: np.zeros(6)))
+    figure = compared.figure()
+    FigureCanvasAgg(figure).draw()  # type: ignore[no-untyped-call]
+    texts: list[Any] = figure.findobj(Text)
+    drawn = {text._preprocess_math(text.get_text()) for text in texts}
+    assert {(name, False) for name in names} <= drawn
+    assert all(text.startswith("$10^") for text, is_formula in drawn if is_formula)
 
 
 def test_no_texts_of_the_figure_overlap() -> None:

@@ -99,6 +99,10 @@ def test_leg_forces_give_the_wrench_of_the_legs(sampled: hs.Scenario) -> None:
         (np.full(6, np.nan), "got [nan nan"),
         (hs.LegForces(np.array([0, 0, 0, 0, 0, np.inf])), "inf]"),
         (np.ones(6) * (1 + 5j), "got array([1.+5.j"),
+        (
+            np.ma.masked_array(np.zeros(6), mask=[False] * 5 + [True]),
+            "got masked_array(data=[0.0, 0.0, 0.0, 0.0, 0.0, --]",
+        ),
         (["1"] * 6, "got ['1', '1'"),
         (hs.LegForces(["1"] * 6), "got ['1', '1'"),
         (hs.LegForces([1, 2, 3]), "leg forces of 6 finite numbers"),

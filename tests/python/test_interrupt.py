@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+import signal
+import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 import hexservo as hs
+from hexservo.campaigns.engines import engine_of
 from hexservo.cli import commands as cli
 from hexservo.run.batch import BatchResult
 
@@ -61,3 +66,26 @@ def test_a_diagnosis_does_not_rest_on_runs_that_were_stopped(monkeypatch: pytest
     monkeypatch.setattr("hexservo.findings.diagnosis.runs.simulate_batch", stopped_batch)
     with pytest.raises(KeyboardInterrupt):
         hs.diagnose(failing)
+
+
+def test_ctrl_c_while_a_campaign_ends_waits_for_its_thread() -> None:
+    """An interpreter that ends while the thread still computes ends with an abort."""
+    begun, ended = threading.Event(), threading.Event()
+
+    def compute() -> None:
+        begun.set()
+        for _ in range(2):
+            time.sleep(0.05)
+            os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.1)
+        ended.set()
+
+    def campaign(store: Any) -> None:
+        with engine_of("local", store, 1) as engine:
+            engine.executor.submit(compute)
+            begun.wait()
+
+    with pytest.raises(KeyboardInterrupt):
+        campaign(None)  # no chunk is computed
+    assert ended.is_set()
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import subprocess
 import sys
+import threading
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
 from dataclasses import replace
@@ -24,6 +25,7 @@ from hexservo import plots as public
 from hexservo.draw import plots
 from hexservo.draw.panels import _spread
 from hexservo.draw.paper_figures import paper_figures
+from hexservo.draw.style import our_style
 from hexservo.run.files import MARKER
 from hexservo.run.publish import OutputError
 from hexservo.run.samples import rotation_vectors
@@ -650,4 +652,24 @@ def test_an_error_while_drawing_leaves_the_settings_alone() -> None:
     before = dict(matplotlib.rcParams)
     with pytest.raises(TypeError):
         plots.feature_errors(None)  # type: ignore[call-overload]
+    assert dict(matplotlib.rcParams) == before
+
+
+def test_threads_draw_in_our_style_one_after_the_other() -> None:
+    """The settings are those of the whole process: the first to leave would take the style from the other."""
+    before = dict(matplotlib.rcParams)
+    entered, first_is_done = threading.Event(), threading.Event()
+
+    def draw() -> None:
+        with our_style():
+            entered.set()
+            first_is_done.wait(5.0)
+
+    other = threading.Thread(target=draw)
+    with our_style(), our_style():  # drawing functions call one another
+        other.start()
+        assert not entered.wait(0.2)
+    first_is_done.set()
+    other.join()
+    assert entered.is_set()
     assert dict(matplotlib.rcParams) == before

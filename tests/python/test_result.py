@@ -233,6 +233,16 @@ def test_dataset_is_labelled(result: hs.Result) -> None:
     assert list(dataset["leg"].values) == [1, 2, 3, 4, 5, 6]
 
 
+def test_a_dataset_shares_no_memory_with_the_result(result: hs.Result) -> None:
+    dataset = result.to_xarray()
+    arrays = [result.time, result.fuzzy_weights, *(getattr(result, name) for name in DIMENSIONS)]
+    for variable in dataset.variables.values():
+        assert not any(np.shares_memory(variable.values, array) for array in arrays)
+    before = result.position.copy()
+    dataset["position"] *= 1000.0
+    np.testing.assert_array_equal(result.position, before)
+
+
 @pytest.mark.parametrize("name", ["result", "limited"])
 def test_attributes_are_text_and_numbers(name: str, request: pytest.FixtureRequest) -> None:
     result: hs.Result = request.getfixturevalue(name)

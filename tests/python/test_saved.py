@@ -25,6 +25,7 @@ from hexservo.run.publish import OutputError
 from hexservo.run.saved import _parsed
 from hexservo.run.saving import result_bytes, save_result
 from hexservo.run.sealed import FORMAT, MAX_BYTES, sealed_bytes
+from hexservo.scenario.calibration import camera_from_file
 from hexservo.scenario.recording import MAX_SAMPLES
 
 
@@ -175,6 +176,38 @@ def test_a_file_that_is_not_there(tmp_path: Path) -> None:
         hs.load_result(tmp_path / "none.nc")
     with pytest.raises(hs.ResultError, match="null"):
         hs.load_result("a\0b")
+
+
+def test_a_path_is_text_bytes_or_an_object_for_it(limited: hs.Result, tmp_path: Path) -> None:
+    """In every function that takes one; numbers would be descriptors of open files."""
+    given: Any = os.fsencode(tmp_path / "run.nc")
+    limited.save(given)
+    assert_same(hs.load_result(given), limited)
+    report: Any = os.fsencode(tmp_path / "run.html")
+    hs.write_report(limited, report)
+    scenario: Any = os.fsencode(tmp_path / "run.yaml")
+    (tmp_path / "run.yaml").write_text(limited.scenario.to_yaml(), encoding="utf-8")
+    assert hs.load_scenario(scenario) == limited.scenario
+    packaged: Any = b"paper"
+    assert hs.load_scenario(packaged) == hs.load_scenario("paper")
+    number: Any = 3
+    files: tuple[Callable[[], object], ...] = (
+        lambda: limited.save(number),
+        lambda: hs.load_result(number),
+        lambda: hs.write_report(limited, number),
+        lambda: hs.read_log(number),
+        lambda: camera_from_file(number),
+    )
+    for call in files:
+        with pytest.raises(TypeError, match=r"^path: expected a path, got int$"):
+            call()
+    folders: tuple[Callable[[], object], ...] = (
+        lambda: hs.plots.paper_figures(limited, number),
+        lambda: hs.load_campaign(number),
+    )
+    for call in folders:
+        with pytest.raises(TypeError, match=r"^folder: expected a path, got int$"):
+            call()
 
 
 def test_what_is_no_regular_file_is_not_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -121,6 +121,8 @@ REFUSED = [
     ("!!int x", 'expected text that fits the tag !!int, got "x"'),
     ("!!bool 1", "fits the tag !!bool"),
     ("!!float a", "fits the tag !!float"),
+    ("a: 1\nb: !!float 0x10", 'line 2: expected text that fits the tag !!float, got "0x10"'),
+    ("!!float 0o17", 'line 1: expected text that fits the tag !!float, got "0o17"'),
     ("a: b: c", "line 1, column 5: not valid YAML"),
     ("a: [1, 2", "not valid YAML: while parsing a flow sequence"),
     ("a: 'b", "not valid YAML"),

@@ -14,9 +14,11 @@ from hexservo.campaigns.distributions import SEED, Variation, uniform_of
 from hexservo.run.variations import known_key, plain_row
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.keys import numeric_keys, value_at
+from hexservo.scenario.leg_units import unit_of
+from hexservo.scenario.parameters import units_of_keys
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["PLACED", "Drawing", "points_of"]
+__all__ = ["PLACED", "Drawing", "points_of", "with_unit"]
 
 _BLOCK = 4  # numbers of 64 bits that one count of Philox gives
 
@@ -41,6 +43,21 @@ PLACED = ("target.translation", "target.rotation")
 
 Translation (3,) [m] and rotation vector (3,) [rad] about the centroid of the points, both in B: p' = R (p - c) + c + t.
 """
+
+
+# Of keys that the core has not; those of `auto` are within the block of the law.
+_UNITS = {**dict(zip(PLACED, ("m", "rad"), strict=True)), "auto.bandwidth": "Hz", "auto.damping": "1"}
+
+
+def with_unit(scenario: Scenario, name: str) -> str:
+    """Return the name of a number that varies, as ``target.rotation[0]``, or of a key, with its unit."""
+    key, _, entry = name.partition("[")
+    law = scenario.controller.law
+    unit = units_of_keys(law).get(key) or _UNITS.get(key.removeprefix(f"controller.{law}."), "")
+    if "; " in unit and entry:  # of a pose, a twist or a wrench: three linear components, three angular ones
+        unit = unit.split("; ")[int(entry.partition("]")[0]) // 3]
+    unit = unit_of(scenario.robot, key, unit)
+    return f"{name} [{unit}]" if unit else name
 
 
 class Drawing:

@@ -6,10 +6,12 @@ import contextlib
 import json
 import os
 import re
+import signal
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from functools import lru_cache
+from types import FrameType
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from hexservo.campaigns.chunks import Tally, chunk_bytes, chunk_table, tally_of
@@ -189,12 +191,34 @@ def engine_of(name: str, store: Store, threads: int | None, *, store_on_workers:
                 yield engine
             finally:
                 engine.stop.set()
-                executor.shutdown(wait=True, cancel_futures=True)
+                with _ctrl_c_afterwards():
+                    executor.shutdown(wait=True, cancel_futures=True)
         return
     if name != "dask" and "://" not in name:
         raise ValueError(f"engine: expected {ENGINES}; got {name!r}")
     with _client(name) as client:
         yield DaskEngine(store, threads, client, store_on_workers=store_on_workers)
+
+
+@contextlib.contextmanager
+def _ctrl_c_afterwards() -> Iterator[None]:
+    """Have Ctrl-C count at the end of a short wait for a thread.
+
+    Python takes a thread for ended where Ctrl-C interrupts the wait for it, and an interpreter that ends while the
+    thread still computes ends with an abort.
+    """
+    before = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(before):
+        yield
+        return
+    pressed: list[tuple[int, FrameType | None]] = []
+    signal.signal(signal.SIGINT, lambda *given: pressed.append(given))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if pressed:
+        before(*pressed[0])
 
 
 @contextlib.contextmanager

@@ -8,6 +8,7 @@ from hashlib import sha256
 import numpy as np
 from scipy.stats import rankdata
 
+from hexservo.campaigns.drawing import with_unit
 from hexservo.campaigns.intervals import anytime_interval
 from hexservo.campaigns.result import CampaignResult
 from hexservo.findings.evidence import Curves, Line, Section
@@ -164,9 +165,10 @@ def _failures(result: CampaignResult, failed: Mask) -> Section:
         if len(places):
             lines.append(Line(name, x[places], y[places], "points"))
     note = f"The first {_DOTS} runs of each kind." if max(failed.sum(), (~failed).sum()) > _DOTS else ""
+    x_label, y_label = (with_unit(result.plan.scenario, name) for name, _ in names)
     return Section(
         "failures",
         "Where the failures lie",
         sentences,
-        [Curves("Runs in the plane of both", names[0][0], names[1][0], lines, note=note, page=_PAGE)],
+        [Curves("Runs in the plane of both", x_label, y_label, lines, note=note, page=_PAGE)],
     )

@@ -19,13 +19,14 @@ from hexservo.campaigns.chunks import unsealed_chunk
 from hexservo.campaigns.plan import CampaignPlan
 from hexservo.run.publish import OutputError, named, synchronize
 from hexservo.run.sealed import ResultError
+from hexservo.scenario.reading import path_text
 from hexservo.scenario.version import VERSION
 from hexservo.scenario.yaml import ScenarioError, dump_yaml, read_yaml
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-__all__ = ["PLAN", "Store", "read_plan"]
+__all__ = ["PLAN", "Store", "contents", "read_plan"]
 
 FORMAT = 1
 """Of a campaign's folder: raised with every change of what a chunk holds."""
@@ -44,7 +45,7 @@ class Store:
     """A campaign's folder, of which this process is the only writer while `opened` lasts."""
 
     def __init__(self, folder: str | os.PathLike[str], plan: CampaignPlan, record: dict[str, Any]) -> None:
-        self.folder = Path(folder)
+        self.folder = Path(path_text("folder", folder))
         self.plan = plan
         self.record = record
         self.drawing = plan.drawing()
@@ -248,6 +249,11 @@ def remove_drafts(folder: Path) -> None:
                 entry.unlink()
 
 
+def contents(folder: Path) -> list[str]:
+    """Return the names of what a campaign's folder has, chunks as a pattern: before the first run not all is there."""
+    return [name for name in (PLAN, SUMMARY, WORST, "chunks/*.parquet") if any(folder.glob(name))]
+
+
 def new_record(plan: CampaignPlan) -> dict[str, Any]:
     """Return what a folder records of a campaign that begins now, beside its file."""
     variant = plan.required_variant()
@@ -276,9 +282,9 @@ def read_plan(folder: str | os.PathLike[str]) -> tuple[CampaignPlan, dict[str, A
     ResultError
         There is no campaign, or one of a format that this version does not read.
     """
-    path = Path(folder) / PLAN
+    path = Path(path_text("folder", folder)) / PLAN
     if not path.is_file():
-        raise ResultError(f"{named(Path(folder))}: expected the folder of a campaign, got one without {PLAN}")
+        raise ResultError(f"{named(path.parent)}: expected the folder of a campaign, got one without {PLAN}")
     try:
         document = read_yaml(path)
         record = document.get("record") if isinstance(document, dict) else None

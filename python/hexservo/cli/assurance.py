@@ -213,6 +213,8 @@ def _write_report(
 def _report(result: hs.CampaignResult, out: str, elapsed: float) -> Iterator[RenderableType]:
     from rich.text import Text
 
+    from hexservo.campaigns.store import contents
+
     yield from printed([result.section()])
     if len(result):
         command = result.command(result.worst(1)[0].index)
@@ -220,7 +222,5 @@ def _report(result: hs.CampaignResult, out: str, elapsed: float) -> Iterator[Ren
         yield Text("")
         command = command if short else f"hexservo run {shlex.quote(f'{out}/worst-run.yaml')}"
         yield Text(f"the run with the smallest margin: {command}")
-    yield Text(
-        f"campaign.yaml, summary.json, worst-run.yaml and chunks/*.parquet are in {out} ({spell_time(elapsed)})",
-        style="dim",
-    )
+    *names, last = contents(result.folder)
+    yield Text(f"{', '.join(names)} and {last} are in {out} ({spell_time(elapsed)})", style="dim")

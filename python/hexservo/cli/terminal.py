@@ -243,7 +243,8 @@ def show_parts(*parts: RenderableType) -> None:
 def write(text: str, encoding: str | None = None) -> None:
     """Write to standard output at once, so that a broken pipe and a full disk are distinguished from bugs."""
     if sys.stdout is None:
-        return
+        complain("standard output: cannot be written: it is closed")
+        raise typer.Exit(BAD_INPUT)
     try:
         if encoding is None:
             sys.stdout.write(text)

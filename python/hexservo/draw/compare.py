@@ -26,6 +26,7 @@ from hexservo.draw.style import (
     PURPLE,
     VERMILION,
     Ink,
+    as_written,
     short_number,
     styled,
 )
@@ -91,7 +92,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
         if number + across >= len(names):
             draw_label(axes, "x", "time [s]")
     marks = [
-        Line2D([], [], color=ink.colour, linestyle=ink.dashes, marker=marker, markersize=3.5, label=law)
+        Line2D([], [], color=ink.colour, linestyle=ink.dashes, marker=marker, markersize=3.5, label=as_written(law))
         for law, (ink, marker) in looks.items()
     ]
     figure.legend(
@@ -228,7 +229,8 @@ def _draw_settling(axes: Axes, comparison: Comparison) -> None:
     axes.grid(visible=False)
     axes.spines[:].set_visible(False)
     axes.xaxis.tick_bottom()
-    axes.set_xticks(range(len(comparison.laws)), comparison.laws, rotation=20, ha="right", rotation_mode="anchor")
+    laws = [as_written(law) for law in comparison.laws]
+    axes.set_xticks(range(len(laws)), laws, rotation=20, ha="right", rotation_mode="anchor")
     axes.set_title("Settling time [s]", loc="left")
 
 

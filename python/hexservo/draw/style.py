@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import threading
 from collections.abc import Callable, Iterator
 from functools import wraps
 from typing import Any, NamedTuple, ParamSpec, TypeVar
@@ -82,14 +83,17 @@ _LOOK = (
     "agg.", "axes.", "figure.", "font.", "grid.", "hatch.", "image.", "legend.", "lines.", "markers.", "mathtext.",
     "patch.", "path.", "savefig.", "svg.", "text.", "xaxis.", "xtick.", "yaxis.", "ytick.",
 )  # fmt: skip
+# matplotlib's settings are one table of the whole process: of two threads in our style at once, the first to leave
+# would take it from the other, and the other would then leave it behind. Drawing functions call one another.
+_STYLE_IN_USE = threading.RLock()
 
 
 @contextlib.contextmanager
 def our_style() -> Iterator[None]:
-    """Draw in our style, from matplotlib's defaults, and restore the user's settings."""
+    """Draw in our style, from matplotlib's defaults, and restore the user's settings; one thread at a time."""
     defaults = {name: value for name, value in matplotlib.rcParamsDefault.items() if name.startswith(_LOOK)}
     settings: Any = {**defaults, **_STYLE}
-    with matplotlib.rc_context(settings):
+    with _STYLE_IN_USE, matplotlib.rc_context(settings):
         yield
 
 
@@ -104,6 +108,11 @@ def styled(function: Callable[_P, _T]) -> Callable[_P, _T]:
             return function(*args, **kwargs)
 
     return styled
+
+
+def as_written(text: str) -> str:
+    """Escape text that users chose: matplotlib takes what is between two dollar signs for a formula."""
+    return text.replace("$", r"\$")
 
 
 def short_number(value: float, _place: int | None = None) -> str:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hexservo.campaigns.distributions import Variation
+from hexservo.campaigns.drawing import with_unit
 from hexservo.campaigns.pictures import campaign_sections
 from hexservo.campaigns.result import CampaignResult
 from hexservo.campaigns.store import write_bytes, write_text
@@ -56,7 +57,7 @@ def write_campaign_report(result: CampaignResult, more: tuple[Section, ...] = ()
     sections = [*campaign_sections(result), *more]
     verdict, *others = sections
     plan = result.plan
-    rows = [(key, _words(variation)) for key, variation in plan.vary.items()]
+    rows = [(with_unit(plan.scenario, key), _words(variation)) for key, variation in plan.vary.items()]
     varied = Table("What varies", (Column("key"), Column("distribution")), rows, page="docs/campaigns.md")
     parts = [
         ("verdict", "Verdict", section_html(verdict, "section-verdict")),

@@ -114,7 +114,7 @@ class BatchResult:
         units = {name: metric_unit(name, self.scenario.robot) for name in self.metrics}
         table.attrs = {
             "scenario": self.scenario.name,
-            "controller": self.controller or self.scenario.controller.law,
+            "controller": self._acting,
             "units": {"end_time": "s", "stop_time": "s", **units},
         }
         return table
@@ -122,8 +122,9 @@ class BatchResult:
     def to_xarray(self) -> xarray.Dataset:
         """Return the batch as a dataset with the dimension ``scenario``, labelled, with units.
 
-        Variations are variables named after their dotted keys, metrics ``metric_...``. Attributes hold text and
-        numbers only, the base scenario as one YAML string (``scenario``).
+        Outcome, cause, leg and times are variables under their own names, variations under their dotted keys, metrics
+        ``metric_...``. Attributes hold text and numbers only, the base scenario as one YAML string (``scenario``). The
+        dataset shares no memory with the batch.
         """
         import xarray
 
@@ -131,7 +132,13 @@ class BatchResult:
         data: dict[str, Any] = {
             "outcome": ("scenario", self.outcome, {"long_name": "how the run ended"}),
             "cause": ("scenario", self.cause, {"long_name": "why the run stopped early"}),
+            "limit_leg": ("scenario", self.limit_leg, {"long_name": "leg, 1 to 6, that ended the run; 0: none did"}),
             "end_time": ("scenario", self.end_time, {"units": "s", "long_name": "time of the last good sample"}),
+            "stop_time": (
+                "scenario",
+                self.stop_time,
+                {"units": "s", "long_name": "time of the step that failed, else of the end"},
+            ),
         }
         for name, values in self.metrics.items():
             unit, meaning = metric_unit(name, robot), METRICS[name][1]
@@ -154,15 +161,21 @@ class BatchResult:
                 attributes = {"units": unit_of(robot, name, unit), "long_name": leg_words(robot, name, meaning)}
                 data[name] = (["scenario", *middle, dimension], values, attributes)
                 coords[dimension] = labels
-        return xarray.Dataset(
+        dataset = xarray.Dataset(
             data,
             coords=coords,
             attrs={
                 "title": f"hexservo batch of {self.scenario.name}",
+                "controller": self._acting,
                 "hexservo_version": VERSION,
                 "scenario": self.scenario.to_yaml(),
             },
         )
+        return dataset.copy(deep=True)  # xarray keeps the arrays it is given, and a dataset may be changed in place
+
+    @property
+    def _acting(self) -> str:
+        return self.controller or self.scenario.controller.law
 
 
 def whole(batch: BatchResult) -> BatchResult:

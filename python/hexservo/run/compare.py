@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hexservo.run.batch import simulate_batch
+from hexservo.run.batch import simulate_batch, thread_count
 from hexservo.run.comparison import Comparison, ComparisonRow
 from hexservo.run.custom_controller import OwnController
 from hexservo.run.metrics import metrics
@@ -33,7 +33,7 @@ _MAX_BATCH = 32  # runs in one batch: bounds the memory of their logs
 
 def compare(
     scenarios: Sequence[str | os.PathLike[str] | Scenario],
-    laws: Sequence[str] | None = None,
+    laws: Iterable[str] | None = None,
     changes: Mapping[str, Any] | None = None,
     threads: int | None = None,
     progress: bool | ProgressCallback | None = None,
@@ -50,14 +50,16 @@ def compare(
     scenarios
         Scenarios, names of packaged ones or paths of YAML files; of different names.
     laws
-        Names of laws, each once; None: all of any machine, and `tracking` where a scenario has it.
+        Names of laws, each once, or none with ``controllers``; None: all of any machine, and `tracking` where a
+        scenario has it.
     changes
         Applied to every scenario before its law is replaced, as `load_scenario` does to a name or path, and
         `Scenario.updated` to a `Scenario`.
     threads
         As for `simulate_batch`.
     progress
-        True draws a bar on standard error; a function is called with (runs done, runs in all), in this thread.
+        True draws a bar on standard error; a function is called with (runs done, runs in all), in this thread; what it
+        raises ends the comparison.
     controllers
         Custom controllers by the names of their rows, compared with the laws; functions as for `simulate`.
         They run one by one in this thread, in sampled mode alone: a scenario in continuous mode is "refused". An
@@ -73,17 +75,19 @@ def compare(
     Raises
     ------
     TypeError
-        For anything but a sequence, as text or one scenario; for controllers that cannot be called.
+        For anything but a sequence, as text or one scenario; for controllers that cannot be called, or whose names are
+        no text.
     ValueError
-        For no or repeated laws and scenarios, or an unknown law.
+        For no or repeated laws and scenarios, or an unknown law; for a number of threads that `simulate_batch` refuses.
     ScenarioError
         For a scenario that does not exist or is not valid with its own law and the changes.
     VariantError
         Where the environment variable HEXSERVO_VARIANT asks for a variant that is not there.
     """
+    thread_count(threads)
     functions = _checked_controllers(controllers)
     loaded = _checked_scenarios(scenarios, changes)
-    chosen_laws = (*(() if laws is not None and not laws and functions else _checked_laws(laws, loaded)), *functions)
+    chosen_laws = (*_checked_laws(laws, loaded, none_will_do=bool(functions)), *functions)
     rows = [_prepared(scenario, law, custom=law in functions) for scenario in loaded for law in chosen_laws]
     groups = _groups(rows, functions)
     with reporting(progress, "runs", transient=True) as report, contextlib.suppress(KeyboardInterrupt):
@@ -103,7 +107,7 @@ def compare(
     return Comparison(chosen_laws, loaded, tuple(rows))
 
 
-def _checked_laws(laws: Sequence[str] | None, scenarios: Sequence[Scenario]) -> tuple[str, ...]:
+def _checked_laws(laws: Iterable[str] | None, scenarios: Sequence[Scenario], *, none_will_do: bool) -> tuple[str, ...]:
     if laws is None:
         own = {scenario.controller.law for scenario in scenarios}
         return tuple(law for law in ALL_LAWS if law in LAWS or law in own)
@@ -111,12 +115,13 @@ def _checked_laws(laws: Sequence[str] | None, scenarios: Sequence[Scenario]) -> 
         raise TypeError("laws: expected a sequence of names, got text")
     if not isinstance(laws, Iterable):
         raise wrong_type("laws", "a sequence of names or None", laws)
-    for law in laws:
+    chosen = tuple(laws)  # an iterator has its names once
+    for law in chosen:
         if law not in ALL_LAWS:
             raise ValueError(f"laws: expected some of {', '.join(ALL_LAWS)}, got {law!r}")
-    if not laws or len(set(laws)) < len(laws):
-        raise ValueError(f"laws: expected at least one, each once, got {', '.join(laws) or 'none'}")
-    return tuple(laws)
+    if len(set(chosen)) < len(chosen) or not (chosen or none_will_do):
+        raise ValueError(f"laws: expected at least one, each once, got {', '.join(chosen) or 'none'}")
+    return chosen
 
 
 def _checked_controllers(controllers: Mapping[str, OwnController] | None) -> dict[str, OwnController]:
@@ -125,7 +130,9 @@ def _checked_controllers(controllers: Mapping[str, OwnController] | None) -> dic
     if not isinstance(controllers, Mapping):
         raise wrong_type("controllers", "a mapping of names to functions", controllers)
     for name, function in controllers.items():
-        if not str(name).strip() or not str(name).isprintable() or name in ALL_LAWS:
+        if not isinstance(name, str):
+            raise wrong_type("controllers", "names that are text", name)
+        if not name.strip() or not name.isprintable() or name in ALL_LAWS:
             raise ValueError(f"controllers: expected names that are text and not names of laws, got {name!r}")
         if not callable(function):
             raise wrong_type(f"controllers: {name}", "a function", function)
@@ -213,11 +220,20 @@ def _run(
             yield index, _row_of(row, result)
         return
     scenarios = [row.scenario for _, row in group]
+    raised: list[Exception] = []  # by the function that reports the progress, which may raise a ValueError too
+
+    def watched(done: int, count: int) -> None:
+        try:
+            report(done)
+        except Exception as error:
+            raised.append(error)
+            raise
+
     try:
-        batch = simulate_batch(
-            scenarios[0], variations_of(scenarios), "trajectory", threads, lambda done, count: report(done)
-        )
-    except ValueError:
+        batch = simulate_batch(scenarios[0], variations_of(scenarios), "trajectory", threads, watched)
+    except ValueError:  # these scenarios fit no batch
+        if raised:
+            raise
         for number, (index, row) in enumerate(group):
             yield index, _single(row)
             report(number + 1)

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import NoReturn, TypeAlias
 
 from hexservo.run.publish import OutputError, Place, draft_beside, named, publish, signals_raised, synchronize
+from hexservo.scenario.reading import path_text
 from hexservo.scenario.version import VERSION
 
 __all__ = ["MARKER", "Recogniser", "check_file", "check_folder", "has_results", "write_file", "write_folder"]
@@ -44,7 +45,7 @@ def check_folder(folder: str | os.PathLike[str], *, force: bool = False) -> None
 
 def has_results(folder: str | os.PathLike[str]) -> bool:
     """Return whether a folder holds earlier results, which `write_folder` with force would replace."""
-    return os.path.lexists(Path(folder, MARKER))
+    return os.path.lexists(Path(path_text("folder", folder), MARKER))
 
 
 def write_folder(
@@ -99,7 +100,7 @@ def write_folder(
             if isinstance(error, OSError):
                 _refuse_unwritable(path, error)
             raise
-    return Path(folder)
+    return Path(path_text("folder", folder))
 
 
 # ---- Names and words ------------------------------------------------------------------------------------------------
@@ -107,7 +108,7 @@ def write_folder(
 
 def _located(folder: str | os.PathLike[str]) -> Path:
     """Return an absolute path with every link resolved but the last part, which is what gets renamed."""
-    path = Path(folder)
+    path = Path(path_text("folder", folder))
     try:
         parent = os.path.realpath(path if path.name in ("", "..") else path.parent)
     except (OSError, ValueError) as error:  # a NUL in it
@@ -206,7 +207,7 @@ def check_file(file: str | os.PathLike[str], title: Recogniser, author: str, *, 
     OutputError
         As `write_file`, as far as it can be checked without writing.
     """
-    path = Path(file)
+    path = Path(path_text("path", file))
     with _refusing_in_words(path):
         _File(path, title, author, force).check_early()
 
@@ -240,7 +241,7 @@ def write_file(
     OutputError
         The file exists, is not ours, or cannot be written.
     """
-    path = Path(file)
+    path = Path(path_text("path", file))
     place = _File(path, title, author, force)
     with _refusing_in_words(path), signals_raised():
         place.check_early()

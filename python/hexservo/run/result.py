@@ -220,7 +220,8 @@ class Result:
         Attributes hold text and numbers only: the outcome, the metrics (``metric_...``), the events in sentences
         (``events``) and as numbers (``event_table``: seconds, and metres or newtons), and the scenario as one YAML
         string (``scenario``), so that every netCDF reader can open the file. `load_result` reads the files that
-        ``hexservo run --out`` writes, which have a digest of their bytes at the end.
+        ``hexservo run --out`` writes, which have a digest of their bytes at the end. The dataset shares no memory with
+        the result.
         """
         import xarray
 
@@ -255,7 +256,7 @@ class Result:
                 **saved_attributes(self),
             }
         )
-        return dataset
+        return dataset.copy(deep=True)  # xarray keeps the arrays it is given, and a dataset may be changed in place
 
 
 def require_result(result: object) -> None:

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, NoReturn
 
-from hexservo.scenario.reading import open_regular
+from hexservo.scenario.reading import open_regular, path_text
 from hexservo.scenario.version import VERSION
 from hexservo.scenario.wording import quoted
 
@@ -117,4 +117,4 @@ def line_of(error: Exception) -> str:
 
 
 def shown_path(path: str | os.PathLike[str]) -> str:
-    return quoted(os.fsdecode(path))
+    return quoted(path_text("path", path))

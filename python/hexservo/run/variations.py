@@ -116,6 +116,9 @@ def known_key(key: object, law: str, points: int = 4) -> NumericKey:
 
 def _array(key: str, rule: NumericKey, given: ArrayLike) -> NDArray[Any]:
     """Check shape and values against the scenario's own rules for the key."""
+    if np.ma.is_masked(given):
+        scenario, entry = _named(tuple(np.argwhere(np.ma.getmaskarray(np.ma.asarray(given)))[0]))
+        raise ValueError(f"{scenario}{key}{entry}: expected {rule.expected}, got a masked value")
     if rule.whole and not isinstance(given, np.ndarray):
         for index, item in enumerate(np.asarray(given, dtype=object).flat):
             if isinstance(item, int) and abs(item) >= 2**64:  # numpy has no number for it
@@ -134,14 +137,19 @@ def _array(key: str, rule: NumericKey, given: ArrayLike) -> NDArray[Any]:
     allowed = rule.within(values)
     if not allowed.all():
         place = tuple(int(index) for index in np.argwhere(~allowed)[0])
-        entry = "".join(f"[{index}]" for index in place[1:])
+        scenario, entry = _named(place)
         rounded = rule.whole and values.dtype.kind == "f" and abs(values[place]) > MAX_WHOLE_FLOAT
         got = f"the float {float(values[place])!r}, which may have been rounded" if rounded else f"{values[place]:.12g}"
-        raise ValueError(f"scenario {place[0]}: {key}{entry}: expected {rule.expected}, got {got}")
+        raise ValueError(f"{scenario}{key}{entry}: expected {rule.expected}, got {got}")
     numbers = values.astype(rule.dtype)
     if rule.symmetric and numbers.ndim == 3:
         numbers = _symmetric(key, numbers)
     return numbers
+
+
+def _named(place: tuple[int, ...]) -> tuple[str, str]:
+    """Return the words before and after the key for a place in its array; of a single number none."""
+    return (f"scenario {place[0]}: " if place else ""), "".join(f"[{index}]" for index in place[1:])
 
 
 def _whole_numbers(given: ArrayLike, values: NDArray[Any]) -> NDArray[Any]:

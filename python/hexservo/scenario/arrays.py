@@ -16,10 +16,12 @@ Mask: TypeAlias = NDArray[np.bool_]
 
 
 def real_numbers(given: Any) -> Array | None:
-    """Return a copy of real numbers as an array of floats, of any shape; None for text, complex and ragged ones.
+    """Return a copy of real numbers as an array of floats, of any shape; None for text, complex, ragged, masked ones.
 
-    NumPy itself takes the text "1" for 1 and the real part of a complex number.
+    NumPy itself takes the text "1" for 1, the real part of a complex number, and what is under a mask.
     """
+    if np.ma.is_masked(given):
+        return None
     try:
         found = np.asarray(given)
         if found.dtype.kind == "O" and not all(isinstance(item, Real) for item in found.flat):

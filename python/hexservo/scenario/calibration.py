@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from hexservo.scenario.arrays import Array, real_numbers
 from hexservo.scenario.plain import plain
+from hexservo.scenario.reading import path_text
 from hexservo.scenario.rules import shown_value
 from hexservo.scenario.yaml import ScenarioError, load_yaml, read_text
 
@@ -107,7 +108,7 @@ def camera_from_file(path: str | os.PathLike[str]) -> dict[str, Any]:
     ScenarioError
         A file that cannot be read, or the first thing that is wrong with it.
     """
-    source = os.fsdecode(path)
+    source = path_text("path", path)
     text = read_text(path, "YAML").removeprefix("\ufeff")
     if text.lstrip().startswith("<"):
         raise ScenarioError(

@@ -14,7 +14,7 @@ from hexservo import _core
 if TYPE_CHECKING:
     from hexservo.scenario.blocks import Blocks
 
-__all__ = ["Settings", "core_parameters", "core_settings", "frame_period", "gains_of"]
+__all__ = ["Settings", "core_parameters", "core_settings", "frame_period", "gains_of", "units_of_keys"]
 
 Settings = _core.Settings
 """A scenario in the core, by dotted keys: ``settings["camera.noise"]``."""
@@ -49,6 +49,12 @@ def core_settings(scenario: Blocks) -> Settings:
 @cache
 def _keys(law: str) -> tuple[_core.ScenarioKey, ...]:
     return tuple(_core.scenario_keys(law))
+
+
+@cache
+def units_of_keys(law: str) -> dict[str, str]:
+    """Return the units of the core's keys, of legs that are prismatic; "linear; angular" where an array mixes both."""
+    return {key.name: key.unit for key in _keys(law)}
 
 
 @cache

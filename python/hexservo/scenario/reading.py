@@ -9,7 +9,22 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-__all__ = ["open_regular"]
+from hexservo.scenario.wording import wrong_type
+
+__all__ = ["open_regular", "path_text"]
+
+
+def path_text(name: str, path: object) -> str:
+    """Return a path that was given as an argument as text; bytes are decoded as the system does.
+
+    Raises
+    ------
+    TypeError
+        "name: expected a path, got int".
+    """
+    if not isinstance(path, str | bytes | os.PathLike):
+        raise wrong_type(name, "a path", path)
+    return os.fsdecode(path)
 
 
 @contextlib.contextmanager
@@ -18,13 +33,16 @@ def open_regular(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
 
     Raises
     ------
+    TypeError
+        For anything but a path.
     OSError
         As `open`.
     ValueError
         The path stands for a folder, a pipe, a device or a socket, or holds a null character.
     """
-    _refuse_special(Path(path).stat().st_mode)  # before it is opened, which some devices take for a command
-    with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY), "rb") as file:
+    place = path_text("path", path)
+    _refuse_special(Path(place).stat().st_mode)  # before it is opened, which some devices take for a command
+    with os.fdopen(os.open(place, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY), "rb") as file:
         _refuse_special(os.fstat(file.fileno()).st_mode)
         yield file
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.reading import path_text
 from hexservo.scenario.yaml import ScenarioError, read_text
 
 __all__ = ["MAX_SAMPLES", "Recording", "kinematic", "read_base_motion", "read_target_motion"]
@@ -133,7 +134,7 @@ class _Table:
 
 
 def _read(path: str | os.PathLike[str], required: tuple[str, ...], extras: tuple[tuple[str, ...], ...]) -> _Table:
-    source = os.fsdecode(path)
+    source = path_text("path", path)
     try:
         return _parsed(read_text(path, "CSV"), required, extras)
     except _LineError as error:

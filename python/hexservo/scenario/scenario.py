@@ -257,6 +257,8 @@ def read_document(name_or_path: str | os.PathLike[str]) -> Document:
     """Return what a packaged scenario or a file has written, with the arguments and errors of `load_scenario`."""
     if not isinstance(name_or_path, str | bytes | os.PathLike):
         raise wrong_type("name_or_path", "the name of a packaged scenario or a path", name_or_path)
+    if isinstance(name_or_path, bytes):
+        name_or_path = os.fsdecode(name_or_path)
     names = scenario_names()
     if isinstance(name_or_path, str):
         if name_or_path in names:

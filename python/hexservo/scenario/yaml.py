@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import yaml
 
-from hexservo.scenario.reading import open_regular
+from hexservo.scenario.reading import open_regular, path_text
 
 __all__ = [
     "MAX_BYTES",
@@ -192,7 +192,7 @@ def read_yaml(path: str | os.PathLike[str]) -> Plain:
         The file cannot be read, is no regular file, is over `MAX_BYTES` (which is checked before anything is parsed)
         or is not UTF-8; and as `load_yaml`.
     """
-    source = os.fsdecode(path)
+    source = path_text("path", path)
     text = read_text(path, "YAML")
     return load_yaml(text, source)
 
@@ -205,7 +205,7 @@ def read_text(path: str | os.PathLike[str], kind: str) -> str:
     ScenarioError
         The file cannot be read, is no regular file, is over `MAX_BYTES` or is not UTF-8.
     """
-    source = os.fsdecode(path)
+    source = path_text("path", path)
     try:
         content = _content(path)
     except OSError as error:
@@ -274,7 +274,7 @@ def _scalar(node: yaml.ScalarNode) -> bool | int | float | str | None:
     pattern = _SCALAR_PATTERNS.get(node.tag)
     if pattern is None:
         raise _RefusedError(node, f"the tag {_short_tag(node.tag)} is not supported here")
-    if not (pattern.match(text) or (node.tag == _FLOAT and _SCALAR_PATTERNS[_INT].match(text))):
+    if not pattern.match(text):
         raise _RefusedError(node, f'expected text that fits the tag {_short_tag(node.tag)}, got "{text[:60]}"')
     if node.tag == _NULL:
         return None

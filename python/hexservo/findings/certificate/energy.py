@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hexservo.findings.certificate.replay import Plant, Replay, product
 from hexservo.findings.certificate.stages import STAGE_WEIGHTS, Stages, doubled_stages_of, stages_of
@@ -88,10 +89,10 @@ def energy_ledger(run: Replay, plant: Plant) -> EnergyLedger:
     works: dict[str, Array] = {}  # term -> (n - 1, 6)
     tolerance = mismatch = 0.0
     tossed = 0
-    bounded = 0  # up to this sample steps twice as long bound the error
+    by_parts = np.ones(count - 1, dtype=bool)  # steps whose error the sum of its absolute parts bounds
     if run.continuous and _smooth(run):
-        tolerance += _doubled(run, plant, plain)
-        bounded = (count - 1) // 2 * 2  # a last step without a partner is left
+        tolerance, paired = _doubled(run, plant, plain)
+        by_parts[np.concatenate([paired, paired + 1])] = False
     for stages in stages_of(run, plant):
         wrenches = terms.wrenches(stages, plant)
         rows = len(stages.tick)
@@ -105,9 +106,9 @@ def energy_ledger(run: Replay, plant: Plant) -> EnergyLedger:
             if term == "coriolis":  # turning is of the rotation; shared evenly, since it belongs to no one component
                 work[:, 3:] += stages.step * (turning @ STAGE_WEIGHTS)[:, None] / 3
             np.add.at(works.setdefault(term, np.zeros((count - 1, 6))), stages.tick, work)
-        if stages.tick[-1] >= bounded:
+        if by_parts[stages.tick].any():
             bound = _quadrature(stages, plant, inertia_there, turning)[1]
-            tolerance += float(bound[stages.tick >= bounded].sum())
+            tolerance += float(bound[by_parts[stages.tick]].sum())
         difference, signs, doubt = _compare(run, stages, inertia)
         mismatch, tossed, tolerance = max(mismatch, difference), tossed + signs, tolerance + doubt
     total = {term: work.sum(axis=1) for term, work in works.items()}
@@ -223,18 +224,29 @@ def _quadrature(stages: Stages, plant: Plant, inertia: Array, turning: Array) ->
     return np.asarray(missed), np.asarray(bound)
 
 
-def _doubled(run: Replay, plant: Plant, plain: bool) -> float:
+def _doubled(run: Replay, plant: Plant, plain: bool) -> tuple[float, NDArray[np.intp]]:
     """Bound the quadrature error of a smooth run by that in steps twice as long [J].
 
     That is sixteen times as much where the step is short enough for the method's order to show. In every pair of steps
     the bound of `_quadrature` holds as well.
+
+    Returns
+    -------
+    tuple
+        The bound, and the first samples of the pairs that it is of. Without a bound are a last step that has no
+        partner, and steps of a run that diverges which leave the finite numbers when they are twice as long.
     """
     tolerance = 0.0
-    for stages in doubled_stages_of(run):
-        inertia = plant.inertia(stages.rows("quaternion"))
-        missed, bound = _quadrature(stages, plant, inertia, _turning(stages, plant, plain))
-        tolerance += float(np.minimum(np.abs(missed), bound).sum())
-    return tolerance
+    paired = [np.zeros(0, dtype=np.intp)]
+    for whole in doubled_stages_of(run):
+        stages = whole.finite()
+        with np.errstate(over="ignore", invalid="ignore"):  # which the numbers of the parts may do too
+            inertia = plant.inertia(stages.rows("quaternion"))
+            missed, bound = _quadrature(stages, plant, inertia, _turning(stages, plant, plain))
+            error = np.minimum(np.abs(missed), bound)
+        tolerance += float(error[np.isfinite(error)].sum())
+        paired.append(stages.tick[np.isfinite(error)])
+    return tolerance, np.concatenate(paired)
 
 
 def _turning(stages: Stages, plant: Plant, plain: bool) -> Array:

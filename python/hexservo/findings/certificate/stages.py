@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hexservo import _core
 from hexservo.findings.certificate.replay import Plant, Replay
-from hexservo.scenario.arrays import Array
+from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.motion import moves
 from hexservo.scenario.parameters import core_parameters
 
@@ -47,6 +48,14 @@ class Stages:
         """Return a quantity with one row per stage, (4 m, k)."""
         value = getattr(self, name)
         return np.ascontiguousarray(value.reshape(-1, value.shape[-1]))
+
+    def finite(self) -> Stages:
+        """Return the steps whose numbers are all finite: of a run that diverges, longer steps may leave the floats."""
+        arrays: dict[str, Any] = {name: value for name, value in vars(self).items() if isinstance(value, np.ndarray)}
+        rows: Mask = np.ones(len(self.tick), dtype=bool)
+        for value in arrays.values():
+            rows &= np.isfinite(value).reshape(len(rows), -1).all(axis=1)
+        return self if rows.all() else replace(self, **{name: value[rows] for name, value in arrays.items()})
 
 
 def stages_of(run: Replay, plant: Plant) -> Iterator[Stages]:

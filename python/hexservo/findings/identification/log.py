@@ -15,6 +15,7 @@ import numpy as np
 
 from hexservo.findings.identification.mcap_log import read_mcap
 from hexservo.scenario.arrays import Array, real_numbers
+from hexservo.scenario.reading import path_text
 from hexservo.scenario.wording import wrong_type
 from hexservo.scenario.yaml import ScenarioError
 
@@ -167,7 +168,7 @@ def read_log(path: str | os.PathLike[str]) -> Log:
         A file that cannot be read, or the first thing that is wrong with it, with its line or message; an MCAP file
         where the package `mcap` is missing.
     """
-    source = os.fsdecode(path)
+    source = path_text("path", path)
     try:
         if not stat.S_ISREG(Path(source).stat().st_mode) or Path(source).stat().st_size > MAX_BYTES:
             raise ScenarioError(f"cannot be read: expected a regular file of at most {MAX_BYTES} bytes", source)
