@@ -347,6 +347,36 @@ def test_a_campaign_keeps_the_metrics_that_it_names_and_those_it_requires(tmp_pa
         hs.campaign(file, tmp_path / "named")
 
 
+@pytest.mark.parametrize(
+    ("key", "needed"),
+    [
+        ("base_motion.level", "base_motion.kind: noise"),
+        ("base_motion.amplitude", "base_motion.kind: sinusoid"),
+        ("target.motion.frequency", "target.motion.kind: sinusoid"),
+        ("camera.outlier_size", "camera.outlier_probability above 0"),
+    ],
+)
+def test_a_key_without_effect_is_refused(key: str, needed: str) -> None:
+    varied = {"vary": {"seed": "each", key: {"uniform": [1.0, 2.0]}}}
+    message = f"^vary.{key}: has no effect here; it acts only with {needed}; set that in the scenario, or drop the key$"
+    with pytest.raises(hs.ScenarioError, match=message):
+        load_plan(FILE | varied)
+    kind, _, value = needed.partition(": ")
+    if value:
+        load_plan(FILE | varied, {kind: value})
+
+
+def test_a_key_may_vary_beside_the_one_that_makes_it_act() -> None:
+    both = {"camera.outlier_size": {"uniform": [0.0, 5.0]}, "camera.outlier_probability": {"choice": [0.1, 0.0]}}
+    load_plan(FILE | {"vary": both})
+
+
+def test_the_file_of_the_page_is_valid() -> None:
+    page = Path(__file__).parents[2] / "docs" / "campaigns.md"
+    first = page.read_text(encoding="utf-8").split("```yaml\n")[1].split("```")[0]
+    load_plan(load_yaml(first))  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize(("change", "message"), REFUSED)
 def test_refusals(change: dict[str, Any], message: str) -> None:
     file = {"scenario": "composite-30hz", "vary": VARIED, "require": ["effort <= 1"], "runs": 1}

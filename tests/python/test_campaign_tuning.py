@@ -265,6 +265,10 @@ REFUSED = [
     ),
     ({"variables": {"target.rotation": {"uniform": [0, 0.1]}}}, "rotation: expected a gain, .* a key of target"),
     ({"variables": {"controler.composite.kt": {"log": [1, 2]}}}, 'did you mean "controller.composite.kt"'),
+    (
+        {"variables": {"controller.composite.auto.damping": {"uniform": [0.5, 1]}}},
+        "tune.variables.controller.composite.auto.damping: has no effect here; it acts only",
+    ),
     ({"minimise": "settling"}, 'tune.minimise: unknown metric "settling"; did you mean "settling_time"'),
     ({"minimise": ["rms_error"] * 2}, "tune.minimise: expected a metric, a list of two different ones, or null, got"),
     ({"minimise": []}, "tune.minimise: expected a metric, a list of two different ones, or null, got"),
