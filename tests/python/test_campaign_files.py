@@ -196,6 +196,18 @@ def test_a_margin_is_negative_where_the_requirement_fails(value: float, bound: f
 # ---- Files ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(
+    "required", ["peak_leg_excursion <= 1e-320", "rms_error >= 1e308", {"holds": "overshoot <= 0", "scale": 1e-320}]
+)
+def test_a_margin_is_finite_whatever_its_scale(required: Any) -> None:
+    one = requirement_of(required)
+    margins = one.margin(np.array([0.0, 1e-3, 1e300, math.inf, math.nan]))
+    assert np.isfinite(margins[:-1]).all()
+    assert np.isfinite(margins[:-1] ** 2).all()
+    assert ((margins[:-1] >= 0) == ([False] * 3 + [True] if one.comparison == ">=" else [True] + [False] * 3)).all()
+    assert math.isnan(margins[-1])
+
+
 def test_a_resolved_file_is_the_same_campaign() -> None:
     plan = PLAN.changed(
         require=["rms_error <= 1", {"holds": "overshoot < 0", "scale": 4.0}], until={"width_below": 1e-3}
