@@ -275,8 +275,11 @@ REFUSED = [
     ({"subject_to": "delay_margin >= 0.1"}, "tune.subject_to: expected a list of requirements, got"),
     (
         {"subject_to": ["rms_error <= 1"]},
-        r'tune.subject_to\[0\]: unknown number of the loop "rms_error"; known: decay_rate, delay_margin',
+        r'tune.subject_to\[0\]: unknown number of the loop "rms_error", which is one of runs: add it to require; '
+        "known: decay_rate, delay_margin",
     ),
+    ({"subject_to": ["outcome == completed"]}, 'the loop "outcome", which is one of runs: add it to require; known'),
+    ({"subject_to": ["decay_rat >= 1"]}, 'unknown number of the loop "decay_rat"; did you mean "decay_rate"'),
     ({"over": 0}, "tune.over: expected an integer from 1 to"),
     ({"over": ["corners", 3, 4]}, r"tune.over: expected a number of variations, corners, or \[corners, number\], got"),
     ({"more": 0}, "tune: expected a block with variables and, optionally, minimise, subject_to and over"),

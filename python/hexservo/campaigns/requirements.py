@@ -155,7 +155,10 @@ def requirement_of(value: Any, units: Mapping[str, str] | None = None) -> Requir
     if name not in known:
         names = ("outcome", *known) if units is None else tuple(known)
         what = "metric" if units is None else "number of the loop"
-        raise refusal(((), f'unknown {what} "{name}"{did_you_mean(name, names) or ";"} known: {", ".join(names)}'))
+        hint = did_you_mean(name, names) or ";"
+        if units is not None and name in (*METRICS, "outcome"):
+            hint = ", which is one of runs: add it to require;"
+        raise refusal(((), f'unknown {what} "{name}"{hint} known: {", ".join(names)}'))
     if comparison not in _COMPARISONS:
         raise refusal(((), f'expected one of {" ".join(_COMPARISONS)} for a metric, got "{comparison}"'))
     try:
