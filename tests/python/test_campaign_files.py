@@ -196,6 +196,18 @@ def test_a_margin_is_negative_where_the_requirement_fails(value: float, bound: f
 # ---- Files ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(
+    "required", ["peak_leg_excursion <= 1e-320", "rms_error >= 1e308", {"holds": "overshoot <= 0", "scale": 1e-320}]
+)
+def test_a_margin_is_finite_whatever_its_scale(required: Any) -> None:
+    one = requirement_of(required)
+    margins = one.margin(np.array([0.0, 1e-3, 1e300, math.inf, math.nan]))
+    assert np.isfinite(margins[:-1]).all()
+    assert np.isfinite(margins[:-1] ** 2).all()
+    assert ((margins[:-1] >= 0) == ([False] * 3 + [True] if one.comparison == ">=" else [True] + [False] * 3)).all()
+    assert math.isnan(margins[-1])
+
+
 def test_a_resolved_file_is_the_same_campaign() -> None:
     plan = PLAN.changed(
         require=["rms_error <= 1", {"holds": "overshoot < 0", "scale": 4.0}], until={"width_below": 1e-3}
@@ -345,6 +357,36 @@ def test_a_campaign_keeps_the_metrics_that_it_names_and_those_it_requires(tmp_pa
     assert load_plan(tmp_path / "named" / "campaign.yaml").kept_metrics() == ("final_error", "effort")
     with pytest.raises(OutputError, match="got one that differs in metrics"):
         hs.campaign(file, tmp_path / "named")
+
+
+@pytest.mark.parametrize(
+    ("key", "needed"),
+    [
+        ("base_motion.level", "base_motion.kind: noise"),
+        ("base_motion.amplitude", "base_motion.kind: sinusoid"),
+        ("target.motion.frequency", "target.motion.kind: sinusoid"),
+        ("camera.outlier_size", "camera.outlier_probability above 0"),
+    ],
+)
+def test_a_key_without_effect_is_refused(key: str, needed: str) -> None:
+    varied = {"vary": {"seed": "each", key: {"uniform": [1.0, 2.0]}}}
+    message = f"^vary.{key}: has no effect here; it acts only with {needed}; set that in the scenario, or drop the key$"
+    with pytest.raises(hs.ScenarioError, match=message):
+        load_plan(FILE | varied)
+    kind, _, value = needed.partition(": ")
+    if value:
+        load_plan(FILE | varied, {kind: value})
+
+
+def test_a_key_may_vary_beside_the_one_that_makes_it_act() -> None:
+    both = {"camera.outlier_size": {"uniform": [0.0, 5.0]}, "camera.outlier_probability": {"choice": [0.1, 0.0]}}
+    load_plan(FILE | {"vary": both})
+
+
+def test_the_file_of_the_page_is_valid() -> None:
+    page = Path(__file__).parents[2] / "docs" / "campaigns.md"
+    first = page.read_text(encoding="utf-8").split("```yaml\n")[1].split("```")[0]
+    load_plan(load_yaml(first))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("change", "message"), REFUSED)

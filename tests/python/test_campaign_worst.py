@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import re
+import shlex
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -192,4 +194,20 @@ def test_the_command_searches_the_worst_case(tmp_path: Path) -> None:
     code, out, err = invoke(*arguments, "--worst")
     assert (code, err) == (0, "")
     assert f"the worst case found: hexservo run {tmp_path}/out/worst-case.yaml" in out
+    assert "without the file" not in out, "no packaged scenario has these changes"
     assert hs.load_scenario(tmp_path / "out" / "worst-case.yaml").simulation.duration == 0.05
+
+
+def test_the_worst_case_of_a_packaged_scenario_has_a_command_without_its_file(tmp_path: Path) -> None:
+    (tmp_path / "c.yaml").write_text(
+        "scenario: paper-composite\nvary:\n  uncertainty.gravity: {uniform: [-0.05, 0.05]}\n"
+        "  simulation.duration: {choice: [0.04, 0.05]}\n  metrics.dwell: {choice: [0.01]}\n"
+        "  metrics.rms_start: {choice: [0.01]}\nrequire: [peak_leg_force <= 1]\nruns: 4\n",
+        encoding="utf-8",
+    )
+    code, out, err = invoke("campaign", str(tmp_path / "c.yaml"), "--out", str(tmp_path / "out"), "--worst")
+    assert (code, err) == (0, "")
+    (command,) = re.findall(r"^the same without the file: (hexservo run paper-composite .*)$", out, re.MULTILINE)
+    settings = (text.split("=") for text in shlex.split(command)[3:] if text != "--set")
+    case = hs.load_scenario(tmp_path / "out" / "worst-case.yaml")
+    assert hs.load_scenario("paper-composite", {key: float(value) for key, value in settings}) == case

@@ -94,6 +94,7 @@ class Candidates:
         self.required = (*plan.require, *asked.subject_to)
         # largest margin of a requirement, as a distance from its bound, where all others hold; for these variations
         self.nearest = np.full(len(self.required), -math.inf)
+        self.nearest_places = np.zeros((len(self.required), self.dimension))  # of the candidates that have it
         self.renew()
 
     def _variations(self) -> dict[str, NDArray[Any]]:
@@ -161,8 +162,11 @@ class Candidates:
         found = self._with_loop(places) if self.asked.subject_to else self._simulated(places)
         for column in range(found.margins.shape[1]):
             others = np.delete(found.margins, column, axis=1)
-            kept = found.distances[(others >= 0).all(axis=1), column]
-            self.nearest[column] = max([self.nearest[column], *kept[np.isfinite(kept)]])
+            kept = (others >= 0).all(axis=1) & np.isfinite(found.distances[:, column])
+            distances = np.where(kept, found.distances[:, column], -math.inf)
+            first = int(np.argmax(distances))
+            if distances[first] > self.nearest[column]:
+                self.nearest[column], self.nearest_places[column] = distances[first], places[first]
         return found
 
     def loop_numbers(self, place: Array) -> list[float]:
@@ -272,12 +276,11 @@ class Candidates:
 
     def on_runs(self, places: Array, plan: CampaignPlan, runs: int) -> tuple[Array, Array]:
         """Return failures of candidates, (n,), and their largest metrics, (n, m), in the first runs of another plan."""
-        numbers = plan.drawing().numbers(0, runs)
-        gains = self.gains_of(places)
-        failures, values = [], []
-        for row in range(len(places)):  # a candidate at a time: a step is small
-            repeated = {key: np.repeat(each[row : row + 1], runs, axis=0) for key, each in gains.items()}
-            found = self._step(numbers, repeated, (runs, 1))
-            failures.append(int((found.smallest < 0).sum()))
-            values.append(found.values.max(axis=0))
-        return np.array(failures), np.array(values)
+        found = [self.other_runs(place, plan, runs) for place in places]  # a candidate at a time: a step is small
+        failures = [int((each.smallest < 0).sum()) for each in found]
+        return np.array(failures), np.array([each.values.max(axis=0) for each in found])
+
+    def other_runs(self, place: Array, plan: CampaignPlan, runs: int) -> Judged:
+        """Return the first runs of another plan with the gains of a candidate, each run as if it were a candidate."""
+        repeated = {key: np.repeat(each, runs, axis=0) for key, each in self.gains_of(place[None]).items()}
+        return self._step(plan.drawing().numbers(0, runs), repeated, (runs, 1))

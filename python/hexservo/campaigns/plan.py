@@ -6,7 +6,7 @@ import contextlib
 import hashlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any
@@ -32,9 +32,10 @@ from hexservo.campaigns.file_keys import (
 from hexservo.campaigns.intervals import JEFFREYS, RARE, Mixture
 from hexservo.campaigns.requirements import Requirement
 from hexservo.campaigns.tune_keys import TunePlan, TuneRule, Variable
+from hexservo.findings.check import needed_by
 from hexservo.run.metrics import asked_metrics
 from hexservo.run.variant import ENVIRONMENT_VARIABLE, VariantError, available_variants, chosen_kernel
-from hexservo.run.variations import checked_variations, known_key
+from hexservo.run.variations import checked_variations, known_key, plain_row
 from hexservo.scenario.block import Block
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.plain import dotted, plain
@@ -118,6 +119,7 @@ class CampaignPlan(Block):
                 if (sentence := _unfit_variable(self.scenario, key, variable, self.vary))
             ]
         problems += [(place, sentence) for place, name in asked if (sentence := _without_value(self, name))]
+        problems = problems or list(_without_effect(self))
         if problems:
             raise refusal(*problems)
         drawing = self.drawing()
@@ -246,6 +248,30 @@ def _unfit(scenario: Scenario, key: str, variation: Variation) -> str:
     if not (rule.whole or rule.within(reached).all()):
         return f"expected {rule.expected}, but it reaches {reached[0]:.4g} ... {reached[1]:.4g}; clip it or narrow it"
     return ""
+
+
+def _without_effect(plan: CampaignPlan) -> Iterator[Problem]:
+    """Find keys that vary, or gains to search, that act in none of the runs."""
+    variables = {} if plan.tune is None else plan.tune.variables
+    places: list[tuple[str, ...]] = [("vary", key) for key in plan.vary]
+    places += [("tune", "variables", key) for key in variables]
+    idle = [place for place in places if needed_by(place[-1], [plan.scenario])]
+    runs = [plan.scenario, *_at_the_ends(plan)] if idle else []  # a key may make another one act
+    for place in idle:
+        if needed := needed_by(place[-1], runs):
+            yield place, f"has no effect here; it acts {needed}; set that in the scenario, or drop the key"
+
+
+def _at_the_ends(plan: CampaignPlan) -> Iterator[Scenario]:
+    """Return scenarios with all that varies at the lower and the upper ends, where they are valid."""
+    drawing, law = plan.drawing(), plan.scenario.controller.law
+    single = {} if plan.tune is None else plan.tune.variables
+    for end in (0, 1):
+        drawn = drawing.variations(drawing.numbers_at(np.full((1, drawing.dimension), float(end)), 0))
+        changes = {key: plain_row(known_key(key, law), values[0]) for key, values in drawn.items()}
+        changes |= {key: one.variation.box[end] for key, one in single.items() if one.groups == (0,)}
+        with contextlib.suppress(ValueError):
+            yield plan.scenario.updated(drawing.base).updated(changes)
 
 
 def _without_value(plan: CampaignPlan, metric: str) -> str:

@@ -27,16 +27,29 @@ _MOST_LEVELS = 30
 _FEWEST_CHAINS = 10
 _STEP = 0.6  # s of the first proposals, x' = sqrt(1 - s^2) x + s z; then by the share that is accepted
 _ACCEPTED = 0.44  # share of proposals to accept (Papaioannou et al. 2015)
+_NEW_NOISE = 0.5  # share of the proposals that have other noise
+_FEWEST_CHANGES = (
+    1.0  # of its noise that a chain makes, on average; with fewer, most runs have the noise of their start
+)
+_FEWEST_KINDS = (
+    10.0  # of noise: with so many the share of a tenth has a standard deviation of sqrt(0.9/0.1/10), about 1
+)
 
 
 @dataclass(frozen=True, eq=False)
 class Levels:
     """What subset simulation found."""
 
-    probability: float  # estimate that the margin is negative; 0 if no level reached it
-    variation: float  # coefficient of variation of the estimate, with the correlation within the chains
+    probability: float  # estimate that the margin is negative; 0 if no level reached it; NaN if noise decides
+    variation: float  # largest coefficient of variation of the estimate, whatever the correlation of its levels
     thresholds: tuple[float, ...]  # margins of the levels, falling
     evaluations: int
+    kinds: float = math.inf  # of noise in the last level, in effect, where few chains change theirs; inf: they do
+
+    @property
+    def noise_decides(self) -> bool:
+        """Whether the chains ended since few kinds of noise were left in them: there is no estimate."""
+        return self.kinds < _FEWEST_KINDS
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -54,21 +67,30 @@ class RareFailures(Findings):
     def section(self) -> Section:
         """Return the estimate in sentences, with the margins of the levels."""
         levels = self.levels
-        if levels.probability > 0:
-            first = (
-                f"The failure probability is estimated as {levels.probability:.2g}, with a coefficient of variation of "
-                f"{number(levels.variation, 2)}."
-            )
+        how = f"subset simulation ({levels.evaluations} runs, seed {self.seed})"
+        if levels.noise_decides:
+            sentences = [
+                f"There is no estimate: noise decides which runs have a margin below {number(levels.thresholds[-1])}. "
+                f"The chains seldom find other noise that reaches it: in effect {number(levels.kinds, 2)} different "
+                f"kinds of noise are left in them, and an estimate needs {_FEWEST_KINDS:g}.",
+                f"The chains of {how} ended there. More samples may help; a campaign needs none of this, and its "
+                "interval is a bound.",
+            ]
         else:
             first = f"No level reached a failure: the smallest margin is {number(levels.thresholds[-1])}."
-        sentences = [
-            first,
-            f"It is an estimate by subset simulation ({levels.evaluations} runs, seed {self.seed}) and no bound: it "
-            "lacks failures in a region that no chain entered.",
-        ]
+            if levels.probability > 0:
+                first = (
+                    f"The failure probability is estimated as {levels.probability:.2g}, with a coefficient of "
+                    f"variation of at most about {number(levels.variation, 2)}."
+                )
+            sentences = [
+                first,
+                f"It is an estimate by {how} and no bound: it lacks failures in a region that no chain entered.",
+            ]
         rows: list[list[Cell]] = [[place, margin] for place, margin in enumerate(levels.thresholds)]
         table = Table("Levels", (Column("level"), Column("margin")), rows, "", "docs/campaigns.md")
         data = {"probability": levels.probability, "variation": levels.variation, "evaluations": levels.evaluations}
+        data |= {"noise_decides": levels.noise_decides}
         return Section("rare_failures", "Rare failures", sentences, [table], "open", data)
 
 
@@ -121,7 +143,12 @@ def subset_simulation(
     margins of the one before, and continues them as Markov chains whose proposals keep the normal distribution
     (Papaioannou, Betz, Zwirglmaier and Straub 2015); one that leaves the level is not accepted. Where many margins
     are equal, a level has what is less than them, and where nothing is less, the failures of one level are counted.
-    The coefficient of variation is that of Au and Beck's equations (28) to (29), with the levels taken as independent.
+    The coefficient of variation is the upper bound of Au and Beck's section 5: the sum of those of the levels, each by
+    equations (28) to (29), which is reached if the levels are fully correlated.
+
+    A proposal with other noise is seldom accepted where noise decides. The chains are then copies of few runs, and the
+    shares of the levels those of few kinds of noise. Where chains change their noise less than once, and fewer than 10
+    kinds (in effect: 1/sum of the squares of their shares) are left in a level, there is no estimate.
 
     Parameters
     ----------
@@ -149,7 +176,8 @@ def subset_simulation(
     places = random.standard_normal((count, dimension))
     seeds = random.integers(0, 2**64, count, dtype=np.uint64)
     values = margin(places, seeds)
-    evaluations, probability, variance = count, 1.0, 0.0
+    evaluations, probability, variation = count, 1.0, 0.0
+    changes = math.inf  # of its noise that a chain of this level made, on average; none are chains in the first one
     thresholds: list[float] = []
     step = _STEP
     for level in range(_MOST_LEVELS):
@@ -166,11 +194,13 @@ def subset_simulation(
         thresholds.append(0.0 if final else threshold)
         if share == 0:
             break
+        if changes < _FEWEST_CHANGES and (kinds := _kinds(seeds[inside])) < _FEWEST_KINDS:
+            return Levels(math.nan, math.inf, tuple(thresholds), evaluations, kinds)
         correlated = 0.0 if level == 0 else _correlation(inside.reshape(length, chains))
-        variance += (1 - share) / (share * len(values)) * (1 + correlated)
+        variation += math.sqrt((1 - share) / (share * len(values)) * (1 + correlated))
         probability *= share
         if final:
-            return Levels(probability, math.sqrt(variance), tuple(thresholds), evaluations)
+            return Levels(probability, variation, tuple(thresholds), evaluations)
         if stays:
             break  # a margin that does not fall any more
         begin = order[: int(inside.sum())]
@@ -179,14 +209,16 @@ def subset_simulation(
         chains = len(begin)
         length = count // chains
         parts = [(places[begin], seeds[begin], values[begin])]
+        changes = 0.0
         for _ in range(length - 1):
             here, own, before = parts[-1]
             there = math.sqrt(1 - step**2) * here + step * random.standard_normal(here.shape)
             fresh = random.integers(0, 2**64, chains, dtype=np.uint64)
-            proposed = np.where(random.random(chains) < 0.5, fresh, own)
+            proposed = np.where(random.random(chains) < _NEW_NOISE, fresh, own)
             found = margin(there, proposed)
             evaluations += chains
             taken = found <= threshold
+            changes += float((taken & (proposed != own)).mean())
             step = min(step * math.exp(float(taken.mean()) - _ACCEPTED), 1.0)
             parts.append(
                 (
@@ -197,6 +229,12 @@ def subset_simulation(
             )
         places, seeds, values = (np.concatenate([part[kind] for part in parts]) for kind in range(3))
     return Levels(0.0, math.inf, (*thresholds, float(values.min())), evaluations)
+
+
+def _kinds(seeds: NDArray[np.uint64]) -> float:
+    """Return how many seeds there are in effect: as many equally frequent ones have the same sum of squared shares."""
+    counts = np.unique(seeds, return_counts=True)[1]
+    return float(counts.sum() ** 2 / (counts**2).sum())
 
 
 def _correlation(inside: NDArray[np.bool_]) -> float:

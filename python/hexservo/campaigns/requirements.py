@@ -22,6 +22,7 @@ COMPLETED = "completed"
 _COMPARISONS = {"<=": operator.le, ">=": operator.ge, "<": operator.lt, ">": operator.gt}
 _TEXT = re.compile(r"\s*(?P<name>\w+)\s*(?P<comparison><=|>=|==|!=|<|>)\s*(?P<bound>\S+)\s*\Z")
 _EXPECTED = f'text such as "settling_time <= 0.5" or "outcome == {COMPLETED}"'
+_LARGEST = 1e100  # magnitude of a margin: its square is finite too, for scales next to nothing
 _FAILED_BY_NOTHING = -float(np.finfo(float).tiny)  # margin of a value at a bound that it may not reach
 
 
@@ -56,11 +57,12 @@ class Requirement:
         -------
         Array
             (n,): distance to the bound in parts of the scale; at least 0 where the requirement holds, else negative;
-            NaN where the metric is.
+            at most 1e100 either way; NaN where the metric is.
         """
         scale = abs(self.bound) if self.scale is None else self.scale
-        with np.errstate(over="ignore"):  # a margin may be infinite
+        with np.errstate(over="ignore"):
             room = (self.bound - values if self.comparison in ("<=", "<") else values - self.bound) / scale
+        room = np.clip(room, -_LARGEST, _LARGEST)
         holds = _COMPARISONS[self.comparison](values, self.bound)
         found = np.where(holds, np.maximum(room, 0.0), np.minimum(room, _FAILED_BY_NOTHING))
         return np.where(np.isnan(values), np.nan, found)
@@ -153,7 +155,10 @@ def requirement_of(value: Any, units: Mapping[str, str] | None = None) -> Requir
     if name not in known:
         names = ("outcome", *known) if units is None else tuple(known)
         what = "metric" if units is None else "number of the loop"
-        raise refusal(((), f'unknown {what} "{name}"{did_you_mean(name, names) or ";"} known: {", ".join(names)}'))
+        hint = did_you_mean(name, names) or ";"
+        if units is not None and name in (*METRICS, "outcome"):
+            hint = ", which is one of runs: add it to require;"
+        raise refusal(((), f'unknown {what} "{name}"{hint} known: {", ".join(names)}'))
     if comparison not in _COMPARISONS:
         raise refusal(((), f'expected one of {" ".join(_COMPARISONS)} for a metric, got "{comparison}"'))
     try:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -149,16 +149,7 @@ class CampaignResult(Findings):
         It changes the packaged scenario where the campaign varies one and no goal is read in with the changes (as
         the goal pose of a camera that varies); else it names a file to which `scenario(index)` is to be written first.
         """
-        name, changes, scenario = self.plan.scenario.name, self.plan.drawing().changes(index), self.scenario(index)
-        try:
-            is_the_same = name in scenario_names() and load_scenario(name, changes) == scenario
-        except ScenarioError:  # of a packaged goal pose, beside features that vary
-            is_the_same = False
-        if not is_the_same:
-            return f"hexservo run {file}"
-        return " ".join(
-            [f"hexservo run {name}", *(f"--set '{key}={_written(value)}'" for key, value in changes.items())]
-        )
+        return command_with_changes(self.plan.drawing().changes(index), self.scenario(index)) or f"hexservo run {file}"
 
 
 def load_campaign(folder: str | os.PathLike[str]) -> CampaignResult:
@@ -197,6 +188,17 @@ def load_campaign(folder: str | os.PathLike[str]) -> CampaignResult:
 def scenario_of_run(plan: CampaignPlan, index: int) -> Scenario:
     """Return the scenario of a run."""
     return plan.scenario.updated(plan.drawing().changes(index))
+
+
+def command_with_changes(changes: Mapping[str, Any], scenario: Scenario) -> str:
+    """Return a command that runs a scenario as a packaged one with changes; "" where it is not that."""
+    name = scenario.name
+    try:
+        is_the_same = name in scenario_names() and load_scenario(name, changes) == scenario
+    except ScenarioError:  # of a packaged goal pose, beside features that vary
+        is_the_same = False
+    settings = [f"--set '{key}={_written(value)}'" for key, value in changes.items()]
+    return " ".join([f"hexservo run {name}", *settings]) if is_the_same else ""
 
 
 def _written(value: Any) -> str:

@@ -37,11 +37,14 @@ class Generation:
 
 @dataclass(frozen=True)
 class Relaxation:
-    """A requirement that was not found to hold with the others, and the nearest bound with which it does."""
+    """A requirement that was not found to hold with the others, and gains that keep the others and a nearer bound."""
 
     requirement: Requirement
-    bound: float  # in the metric's unit
+    bound: float  # in the metric's unit; its gains keep it in the variations of the search and in `runs` others
     share: float  # the change, in parts of the requirement's scale
+    gains: Mapping[str, Any]  # by dotted key
+    failures: int  # of the others, in which a different requirement fails, or no bound would help
+    runs: int  # that the others are
 
     @property
     def text(self) -> str:
@@ -101,7 +104,7 @@ class TuneResult(Findings):
 
     @property
     def advice(self) -> str:
-        """The requirement that cannot hold with the others, with its smallest relaxation, or what has no value.
+        """The requirement that was not found to hold with the others and its smallest relaxation, or what has no value.
 
         Empty for gains that are feasible.
         """
@@ -119,8 +122,10 @@ class TuneResult(Findings):
             return f"No requirement was found whose relaxation alone helps; {least}."
         first = self.relaxations[0]
         return (
-            f"The requirement {first.requirement} does not hold together with the others; with {first.text} it does, "
-            "the smallest change that was found."
+            f"The requirement {first.requirement} was not found to hold together with the others in "
+            f"{len(self.history)} generations; with {first.text}, the smallest change that was found, all hold in the "
+            f"{self.variations} variations of the search, and in {first.runs - first.failures} of {first.runs} runs "
+            "that it never used."
         )
 
     def headline(self) -> str:
@@ -135,9 +140,15 @@ class TuneResult(Findings):
             numbers: list[list[Cell]] = [[name, value] for name, value in self.loop.items()]
             items.append(Table("Numbers of the loop", (Column("required"), Column("is")), numbers, "", _PAGE))
         if self.relaxations:
-            changed: list[list[Cell]] = [[str(one.requirement), one.text, one.share] for one in self.relaxations]
-            columns = (Column("requirement"), Column("would hold"), Column("change, in parts of its scale"))
+            changed: list[list[Cell]] = [
+                [str(one.requirement), one.text, one.share, f"{one.failures} of {one.runs}"] for one in self.relaxations
+            ]
+            names = ("requirement", "with which gains were found", "change, in parts of its scale", "other runs fail")
+            columns = tuple(map(Column, names))
             items.append(Table("Relaxations", columns, changed, "Each alone, the others as they are.", _PAGE))
+            nearest: list[list[Cell]] = [[key, _text(value)] for key, value in self.relaxations[0].gains.items()]
+            title = f"Gains with {self.relaxations[0].text}"
+            items.append(Table(title, (Column("key"), Column("value")), nearest, "", _PAGE))
         return Section("tuning", "Tuning", self._sentences(), items, self._verdict(), self._data())
 
     def _verdict(self) -> Verdict:
@@ -207,6 +218,8 @@ class TuneResult(Findings):
             "loop": dict(self.loop),
             "held_out": None if self.held_out is None else self.held_out.summary,
             "relaxations": {str(one.requirement): one.bound for one in self.relaxations},
+            "relaxed_gains": {str(one.requirement): dict(one.gains) for one in self.relaxations},
+            "relaxed_failures": {str(one.requirement): [one.failures, one.runs] for one in self.relaxations},
             "front": [[*point.values, *point.held_out, point.failures] for point in self.front],
             "settled": self.settled,
             "worst_margin": self.worst_margin,

@@ -39,7 +39,7 @@ _TUNED = "tuned.yaml"
 _FRONT = "front.csv"
 _SUMMARY = "tuning.json"
 _EDGE = 0.02  # of a range, from its ends: a gain there might be a better one beyond
-_FRONT_RUNS = 200  # of each point of a front, on variations that the search never used
+_OTHER_RUNS = 200  # of a point of a front or a relaxation, on variations that the search never used
 
 
 def tune(
@@ -248,7 +248,7 @@ def _finished(search: _Search, plan: CampaignPlan, folder: Path, threads: int | 
             for one, value in zip(candidates.asked.subject_to, candidates.loop_numbers(search.best), strict=True)
         },
         held_out=held_out,
-        relaxations=() if feasible else _relaxations(candidates),
+        relaxations=() if feasible else _relaxations(candidates, plan),
         front=front,
         settled=search.settled,
         worst_margin=search.worst_margin,
@@ -286,15 +286,30 @@ def _set_aside(path: Path) -> None:
         raise OutputError(f"{named(path)}: cannot be renamed: {error.strerror}") from None
 
 
-def _relaxations(candidates: Candidates) -> tuple[Relaxation, ...]:
-    """Return the requirements that do not hold with the others, the smallest change first."""
+def _relaxations(candidates: Candidates, plan: CampaignPlan) -> tuple[Relaxation, ...]:
+    """Return the requirements that were not found to hold with the others, the smallest change first.
+
+    The bound of each is kept by its gains over the variations of the search and in runs that the search never used:
+    a search chooses gains by the former, whose largest value is therefore too small for others.
+    """
+    assert plan.runs is not None
+    runs = min(plan.runs, _OTHER_RUNS)
+    other = plan.changed(stream=plan.stream + 1)
     found = []
-    for one, margin in zip(candidates.required, candidates.nearest, strict=True):
-        if one.name == "outcome" or not -math.inf < margin < 0:
+    for column, (one, nearest) in enumerate(zip(candidates.required, candidates.nearest, strict=True)):
+        if one.name == "outcome" or not -math.inf < nearest < 0:
             continue
+        place = candidates.nearest_places[column]
+        judged = candidates.other_runs(place, other, runs)
+        margin, kept = nearest, judged.margins >= 0
+        if column < len(plan.require):  # else a number of the loop, which no run changes
+            distances = judged.distances[:, column]
+            margin = np.nanmin([nearest, *distances])
+            kept[:, column] = np.isfinite(distances)
         scale = abs(one.bound) if one.scale is None else one.scale
         bound = one.bound - (margin if one.comparison in ("<=", "<") else -margin) * scale
-        found.append(Relaxation(one, float(bound), float(-margin)))
+        failures = int((~kept.all(axis=1)).sum())
+        found.append(Relaxation(one, float(bound), float(-margin), candidates.gains(place), failures, runs))
     return tuple(sorted(found, key=lambda each: each.share))
 
 
@@ -322,7 +337,7 @@ def _front_points(candidates: Candidates, front: Array, plan: CampaignPlan) -> t
         return ()
     inside = candidates.judged(front)
     assert plan.runs is not None
-    runs = min(plan.runs, _FRONT_RUNS)
+    runs = min(plan.runs, _OTHER_RUNS)
     failures, values = candidates.on_runs(front, plan.changed(stream=plan.stream + 1), runs)
     return tuple(
         FrontPoint(

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hexservo.campaigns.judging import Judge
-from hexservo.campaigns.result import CampaignResult
+from hexservo.campaigns.result import CampaignResult, command_with_changes
 from hexservo.campaigns.store import write_text
 from hexservo.findings.diagnosis import diagnose
 from hexservo.findings.display import Findings
@@ -47,6 +47,7 @@ class WorstCase(Findings):
     drawn_margin: float  # smallest one of the campaign's own runs
     runs: int  # that were simulated
     seed: int  # of the search
+    command: str  # that runs the packaged scenario with what varies; "" where the campaign varies no packaged one
     diagnosis: Diagnosis | None = field(default=None)  # of the run, where it fails
 
     def headline(self) -> str:
@@ -141,7 +142,8 @@ def worst_case(
     margin, place, start = min(found, key=lambda one: one[0])
     law = judge.base.controller.law
     drawn = drawing.variations(drawing.numbers_at(place[None], start))
-    scenario = judge.base.updated({key: plain_row(known_key(key, law), values[0]) for key, values in drawn.items()})
+    changes = drawing.base | {key: plain_row(known_key(key, law), values[0]) for key, values in drawn.items()}
+    scenario = plan.scenario.updated(changes)
     write_text(result.folder / CASE, scenario.to_yaml())
     return WorstCase(
         scenario,
@@ -151,6 +153,7 @@ def worst_case(
         float(result.summary["worst"][0]["margin"]),
         judge.runs,
         seed,
+        command_with_changes(changes, scenario),
         _diagnosed(scenario) if margin < 0 else None,
     )
 

@@ -126,6 +126,8 @@ def campaign(
             more.append(case.section())
             if not quiet:
                 command = f"hexservo run {shlex.quote(str(case.path))}"
+                if case.command:
+                    command += f"\nthe same without the file: {case.command}"
                 show_parts("", *printed([case.section()]), f"\nthe worst case found: {command}")
         if sensitivity:
             indices = hs.sensitivity(result.plan, threads=threads).section()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,7 +28,7 @@ from hexservo.scenario.presets import ROBOT_PRESETS
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number, quantity
 
-__all__ = ["keys_without_effect", "unlikely"]
+__all__ = ["keys_without_effect", "needed_by", "unlikely"]
 
 _FEWEST = 3  # points that a law can regulate
 _OFF_CENTRE = 0.15  # of the image, most that the principal point of a usual lens is off its centre
@@ -449,3 +449,13 @@ def keys_without_effect(scenario: Scenario) -> list[str]:
             has, acts = ("has", "it acts") if len(keys) == 1 else ("have", "they act")
             sentences.append(f"{', '.join(keys)}: {has} no effect here; {acts} {condition.when}")
     return sentences
+
+
+def needed_by(key: str, scenarios: Iterable[Scenario]) -> str:
+    """Return what a key needs to act, as it follows "it acts", where it acts in none of some scenarios; else ""."""
+    scenarios = list(scenarios)
+    for condition in _CONDITIONS:
+        below = any(f"{key}.".startswith(f"{name}.") for name in condition.keys)
+        if below and not any(condition.acts(scenario) for scenario in scenarios):
+            return condition.when
+    return ""
