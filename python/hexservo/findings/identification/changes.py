@@ -96,7 +96,9 @@ def _of_camera(camera: CameraFit, step: float) -> dict[str, Any]:
         jitter = min(camera.jitter or 0.0, 2 * max(camera.latency.value, 0.0))  # of which no frame comes too early
         changes |= {"camera.latency": max(0.0, _whole(camera.latency.value - jitter / 2, step))}
         changes |= {"camera.latency_jitter": _whole(jitter, step)}
-    return changes | {"camera.dropout": _digits(max(camera.dropout, 0.0))}
+    if camera.dropout is not None:
+        changes |= {"camera.dropout": _digits(camera.dropout.value)}
+    return changes
 
 
 def _together(drives: Drives, name: str) -> float | None:
