@@ -10,7 +10,7 @@ from scipy.stats import binom
 import hexservo as hs
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.evidence import Table
-from hexservo.findings.identification.changes import changes_of
+from hexservo.findings.identification.changes import changes_of, of_law
 from hexservo.findings.identification.drives import fit_drives
 from hexservo.findings.identification.frame_clock import clock
 from hexservo.findings.identification.frames import CameraFit, fit_camera
@@ -68,6 +68,13 @@ def test_a_camera_without_a_period_keeps_its_keys(paper: hs.Scenario) -> None:
     assert section.verdict == "warning"
     assert any("do not tell their period" in sentence for sentence in section.sentences)
     assert not {"camera.period", "camera.dropout"} & set(changes_of(log, fit_drives(log, METRES, delays=(1,)), found))
+
+
+def test_the_noise_is_what_the_law_tracking_assumes(paper: hs.Scenario) -> None:
+    tracking = paper.updated({"controller.law": "tracking", "actuators.kind": "position", "simulation.mode": "sampled"})
+    assert of_law(tracking, {"camera.noise": 1.1}) == {"controller.tracking.noise": 1.1}
+    assert of_law(tracking, {"camera.noise": 0.0}) == of_law(tracking, {}) == {}
+    assert of_law(paper, {"camera.noise": 1.1}) == {}
 
 
 def test_robust_deviations_are_those_of_repeated_fits() -> None:

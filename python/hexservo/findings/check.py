@@ -39,8 +39,8 @@ def unlikely(scenario: Scenario) -> list[str]:
     Compares the weight at home with the force limits, home with the base, the stroke with the leg lengths, start and
     goal with stroke, joint limits and image, the start's twist with the speed limit, times of the camera and of the
     metrics with the duration, and in sampled mode the servo period with the loop of the gains, linearised at home with
-    the switching term as in `linear_law`; gains with duration, servo rate, delays and forces (`of_gains`). Gains with
-    which numbers of that loop overflow have a sentence that names it. Does not simulate.
+    the switching term as in `linear_law`; gains with duration, servo rate, delays, forces and noise (`of_gains`). Gains
+    with which numbers of that loop overflow have a sentence that names it. Does not simulate.
     """
     scene = scene_of(scenario)
     fastest, overflow = None, []

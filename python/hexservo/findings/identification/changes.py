@@ -17,7 +17,7 @@ from hexservo.findings.part import Part
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["Changes", "changes_of", "in_whole_ticks"]
+__all__ = ["Changes", "changes_of", "in_whole_ticks", "of_law"]
 
 _FEWEST_TICKS = {  # of the times that a scenario has in whole ticks
     "simulation.duration": 1,
@@ -56,6 +56,17 @@ def changes_of(log: Log, drives: Drives, camera: CameraFit | None, motors: Motor
         if motors.delay < MOST_DELAY:
             changes["actuators.delay"] = _whole(motors.delay * step, step)
     return changes
+
+
+def of_law(machine: Scenario, changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the noise that the law of a machine assumes, where it assumes one and the log gives it.
+
+    With less than the camera has, its filter takes noise for a target that is somewhere else.
+    """
+    noise = changes.get("camera.noise", 0.0)
+    if machine.controller.law != "tracking" or noise <= 0.0:
+        return {}
+    return {"controller.tracking.noise": noise}
 
 
 def in_whole_ticks(log: Log, machine: Scenario, changes: Mapping[str, Any]) -> dict[str, Any]:
