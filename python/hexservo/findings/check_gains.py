@@ -75,8 +75,8 @@ def _of_noise(scenario: Scenario, law: str) -> Iterator[str]:
         frames = 1.0 / (_COORDINATES * math.erfc(jump * assumed / true / math.sqrt(2.0)))
         yield (
             f"{law}.noise: {number(assumed)} px is less than camera.noise, {number(true)} px, so that noise alone is "
-            f"beyond {law}.jump and restarts the estimate of the target every {max(frames, 1.0):.0f} frames or so, where the "
-            f"machine does not stay on its goal; set it to {number(true)}"
+            f"beyond {law}.jump and restarts the estimate of the target every {max(frames, 1.0):.0f} frames or "
+            f"so, and the machine does not stay on its goal; set it to {number(true)}"
         )
 
 
