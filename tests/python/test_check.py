@@ -193,6 +193,18 @@ def test_a_slope_of_the_switching_term_counts(paper: hs.Scenario) -> None:
     assert math.isfinite(rate)
 
 
+def test_noise_that_the_filter_takes_for_a_jump() -> None:
+    """A jump of 6 assumed deviations is 4 of the noise where this is 1.5 times as large."""
+    takes = {"controller.law": "tracking", "camera.prediction": "none", "actuators.kind": "position"}
+    head = hs.load_scenario("reachy-mini-head").updated(takes)
+    start = "controller.tracking.noise"
+    assumed = head.controller.tracking.noise
+    assert not any(line.startswith(start) for line in unlikely(head.updated({"camera.noise": 1.49 * assumed})))
+    assert "set it to 0.755" in only(head.updated({"camera.noise": 1.51 * assumed}), start)
+    known = {"camera.noise": 1.1, start: 1.1}
+    assert not any(line.startswith(start) for line in unlikely(head.updated(known)))
+
+
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(
     ("name", "changes", "reason"),

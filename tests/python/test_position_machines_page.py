@@ -67,4 +67,4 @@ def test_numbers_are_compared_with_a_tolerance() -> None:
     assert alike("camera.latency 0.2 0.033", "  camera.latency   0.201  0.033  ")
     assert not alike("camera.latency 0.2 0.033", "camera.latency 0.3 0.033")
     assert not alike("settling time 1.5 s", "settled time 1.5 s")
-    assert (len(blocks()), len(blocks(2))) == (15, 4)
+    assert (len(blocks()), len(blocks(2))) == (16, 4)

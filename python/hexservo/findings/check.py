@@ -45,8 +45,8 @@ def unlikely(scenario: Scenario) -> list[str]:
     goal with stroke, joint limits and image, the start's twist with the speed limit, the principal point with the
     image, times of the camera and of the metrics with the duration, a recorded acceleration with that of gravity, the
     period of frames with what finds an unknown latency, and in sampled mode the servo period with the loop of the
-    gains, linearised at home with the switching term as in `linear_law`; gains with duration, servo rate, delays and
-    forces (`of_gains`). Gains with which numbers of that loop overflow have a sentence that names it. Does not
+    gains, linearised at home with the switching term as in `linear_law`; gains with duration, servo rate, delays,
+    forces and noise (`of_gains`). Gains with which numbers of that loop overflow have a sentence that names it. Does not
     simulate.
     """
     scene = scene_of(scenario)

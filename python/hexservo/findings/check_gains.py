@@ -27,6 +27,8 @@ _SLOW = 0.5  # of the bandwidth: motions below it are slow
 _LEFT = 0.02  # share of the image error that may be slow, or stay
 _TURNED = 0.9  # share of rotations in the common motion of the features
 _OF_MARGIN = 0.5  # share of its gain margin that a feedback may have: 6 dB are left
+_OF_NOISE = 4.0  # deviations of the camera's noise that a jump must be of: six coordinates reach it in 1 of 2600 frames
+_COORDINATES = 6  # of a target's pose
 _ROUNDING = 1.0 + 1e-9
 
 
@@ -58,6 +60,7 @@ def of_gains(scene: Scene, fastest: float | None) -> Iterator[str]:
         yield from _too_slow(scenario, f"controller.{law}: the gains' bandwidth of {{}} Hz", fastest / (2.0 * math.pi))
     if scenario.controller.traits.output == "pose":
         yield from _of_feedback(scenario, law)
+        yield from _of_noise(scenario, f"controller.{law}")
 
 
 def _of_feedback(scenario: Scenario, law: str) -> Iterator[str]:
@@ -69,6 +72,18 @@ def _of_feedback(scenario: Scenario, law: str) -> Iterator[str]:
             yield (
                 f"{key}: {number(own)} is more than half of {number(most)}, with which legs of this response oscillate"
             )
+
+
+def _of_noise(scenario: Scenario, law: str) -> Iterator[str]:
+    """Find noise of the camera that the filter of the target takes for a target that is somewhere else."""
+    true, assumed, jump = scenario.camera.noise, value_at(scenario, f"{law}.noise"), value_at(scenario, f"{law}.jump")
+    if scenario.simulation.mode == SAMPLED_MODE and jump * assumed * _ROUNDING < _OF_NOISE * true:
+        frames = 1.0 / (_COORDINATES * math.erfc(jump * assumed / true / math.sqrt(2.0)))
+        yield (
+            f"{law}.noise: {number(assumed)} px is less than camera.noise, {number(true)} px, so that noise alone is "
+            f"beyond {law}.jump and restarts the estimate of the target every {max(frames, 1.0):.0f} frames or "
+            f"so, and the machine does not stay on its goal; set it to {number(true)}"
+        )
 
 
 def _of_times(scenario: Scenario, key: str, bandwidth: float) -> Iterator[str]:

@@ -10,7 +10,7 @@ from typing import Any
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Section, as_data
-from hexservo.findings.identification.changes import Changes, changes_of, in_whole_ticks
+from hexservo.findings.identification.changes import Changes, changes_of, in_whole_ticks, of_law
 from hexservo.findings.identification.drives import DriveFit, Drives, fit_drives
 from hexservo.findings.identification.frames import CameraFit, fit_camera
 from hexservo.findings.identification.log import Log, read_log
@@ -108,5 +108,6 @@ def identify(
         if found is not None and found.explains:  # one delay for the motors and for what the controller takes them for
             drives = fit_drives(record, leg_units(machine.robot), delays=(found.delay,))
     changes = changes_of(record, drives, camera, found)
+    changes |= of_law(machine, changes)
     rounded = in_whole_ticks(record, machine, changes)
     return Identification(machine, machine.updated(changes | rounded), changes, drives, camera, found, rounded)

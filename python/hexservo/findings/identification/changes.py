@@ -17,7 +17,7 @@ from hexservo.findings.part import Part
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["Changes", "changes_of", "in_whole_ticks"]
+__all__ = ["Changes", "changes_of", "in_whole_ticks", "of_law"]
 
 _FEWEST_TICKS = {  # of the times that a scenario has in whole ticks
     "simulation.duration": 1,
@@ -58,6 +58,17 @@ def changes_of(log: Log, drives: Drives, camera: CameraFit | None, motors: Motor
     return changes
 
 
+def of_law(machine: Scenario, changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the noise that the law of a machine assumes, where it assumes one and the log gives it.
+
+    With less than the camera has, its filter takes noise for a target that is somewhere else.
+    """
+    noise = changes.get("camera.noise", 0.0)
+    if machine.controller.law != "tracking" or noise <= 0.0:
+        return {}
+    return {"controller.tracking.noise": noise}
+
+
 def in_whole_ticks(log: Log, machine: Scenario, changes: Mapping[str, Any]) -> dict[str, Any]:
     """Return the times of a machine that the log does not give and that are no whole ticks of it, as such."""
     step, rounded = float(f"{log.period:.9g}"), {}
@@ -96,7 +107,9 @@ def _of_camera(camera: CameraFit, step: float) -> dict[str, Any]:
         jitter = min(camera.jitter or 0.0, 2 * max(camera.latency.value, 0.0))  # of which no frame comes too early
         changes |= {"camera.latency": max(0.0, _whole(camera.latency.value - jitter / 2, step))}
         changes |= {"camera.latency_jitter": _whole(jitter, step)}
-    return changes | {"camera.dropout": _digits(max(camera.dropout, 0.0))}
+    if camera.dropout is not None:
+        changes |= {"camera.dropout": _digits(camera.dropout.value)}
+    return changes
 
 
 def _together(drives: Drives, name: str) -> float | None:

@@ -6,17 +6,18 @@ agrees best with the image; where the target is, is found with it. Frames of a m
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, minimize_scalar
 from scipy.stats import chi2
 
 from hexservo import _core
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene
-from hexservo.findings.identification.interval import LEVEL, Interval, correlated, deviations, half_width
+from hexservo.findings.identification.frame_clock import clock
+from hexservo.findings.identification.interval import LEVEL, Interval, correlated, half_width, robust_deviations
 from hexservo.findings.identification.log import FITTED, LEAST_EXPLAINED, Frames, Log, leg_moves
 from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array
@@ -30,6 +31,7 @@ MOST_LATENCY = 0.25
 _FEWEST = 20  # frames
 _TRIED = 11  # latencies of a coarse grid
 _ROUNDS = 60  # evaluations of a fit
+_TARGET = 6  # numbers of its displacement
 _RARE = 0.01  # share of the frames at either end of the latencies from which jitter is not taken
 _SAME = 1e-9  # times that differ by less are the same [s]
 _EDGE = 5e-4  # latencies that are so near to an end of what is searched are no different from it [s]
@@ -40,17 +42,21 @@ class CameraFit(Part):
     """Clock and noise of the camera, and where its target is."""
 
     frames: int  # that arrived
-    period: Interval | None = None  # between exposures [s]
-    dropout: float = 0.0  # share of the frames of that period that did not arrive
+    period: Interval | None = None  # between exposures [s]; None where their times have no common one
+    dropout: Interval | None = None  # share of the frames of that period that did not arrive; None without a period
     latency: Interval | None = (
         None  # from the true exposure to arrival [s]; 0 to `MOST_LATENCY` where the log leaves it open, and without an
         # end where it may be beyond what is searched
     )
-    jitter: float | None = None  # most that a frame is later than the earliest, usually [s]; None without exposures
+    jitter: float | None = (
+        None  # most that a frame is later than the earliest, usually [s]; None where there are no exposure times and
+        # the image is not off by more where it moves faster
+    )
     stamps: Interval | None = None  # what exposure times are late by [s]; None without them
-    noise: Interval | None = None  # standard deviation of a coordinate [px]
+    noise: Interval | None = None  # standard deviation of a coordinate, of an image at rest [px]
     explained: float | None = None  # share of the image motion kept apart that is predicted, 1: all; None: none there
     target: Array = field(default_factory=lambda: np.zeros(6))  # displacement of the scenario's target [m; rad]
+    target_deviations: Array = field(default_factory=lambda: np.full(6, np.inf))  # standard, of these [m; rad]
     stragglers: int = 0  # frames whose latency is far from that of the others: they do not count in latency and jitter
     open: str = ""  # why nothing was found; empty if something was
 
@@ -86,14 +92,26 @@ def fit_camera(log: Log, scene: Scene) -> CameraFit:
         return CameraFit(count, open=f"expected at least {_FEWEST} frames in the log, got {count}")
     if reason := _not_fitted(scene, frames):
         return CameraFit(count, open=reason)
-    period, dropout = _clock(frames)
+    stamped = frames.exposure is not None
+    period, dropout = clock(frames.arrival if frames.exposure is None else frames.exposure) or (None, None)
     sight = _Sight.of(log, frames, scene)
-    fit = _fit(sight, log, frames)
+    fit = _fit(sight, log, stamped=stamped)
     if isinstance(fit, str):
         return CameraFit(count, period, dropout, open=fit)
-    shift, noise, explained, target = fit
+    shift = fit.shift
+    found = CameraFit(
+        count,
+        period,
+        dropout,
+        shift,
+        fit.jitter,
+        noise=fit.noise,
+        explained=fit.explained,
+        target=fit.target,
+        target_deviations=fit.target_deviations,
+    )
     if frames.exposure is None:
-        return CameraFit(count, period, dropout, shift, None, None, noise, explained, target)
+        return found
     late = frames.arrival - frames.exposure
     low, high = np.quantile(late, [_RARE, 1 - _RARE])
     jitter = float(high - low) / (1 - 2 * _RARE)  # of a uniform one
@@ -102,18 +120,8 @@ def fit_camera(log: Log, scene: Scene) -> CameraFit:
     wide = np.hypot(half_width(sigma), min(shift.high - shift.value, shift.value - shift.low))
     late_by = mean + shift.value
     ends = (end if np.isinf(end) else late_by + side * wide for end, side in ((shift.low, -1), (shift.high, 1)))
-    return CameraFit(
-        count,
-        period,
-        dropout,
-        Interval(late_by, *map(float, ends)),
-        jitter,
-        shift,
-        noise,
-        explained,
-        target,
-        stragglers=count - len(usual),
-    )
+    latency = Interval(late_by, *map(float, ends))
+    return replace(found, latency=latency, jitter=jitter, stamps=shift, stragglers=count - len(usual))
 
 
 def _not_fitted(scene: Scene, frames: Frames) -> str:
@@ -127,20 +135,6 @@ def _not_fitted(scene: Scene, frames: Frames) -> str:
     if points != len(scene.points):
         return f"expected {len(scene.points)} points in an image, as the scenario's target has, got {points}"
     return ""
-
-
-def _clock(frames: Frames) -> tuple[Interval | None, float]:
-    """Return the period of the frames, from a line through their times, and the share that is missing."""
-    times = np.sort(frames.arrival if frames.exposure is None else frames.exposure)
-    steps = np.diff(times)
-    usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
-    if usual <= 0.0:
-        return None, 0.0
-    number = np.concatenate([[0], np.cumsum(np.maximum(np.rint(steps / usual), 1))])
-    line = np.polyfit(number, times, 1)
-    left = times - np.polyval(line, number)
-    sigma = float(np.sqrt((left @ left) / (len(times) - 2) / ((number - number.mean()) ** 2).sum()))
-    return Interval.around(float(line[0]), sigma), float(1.0 - len(times) / (number[-1] + 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,15 +184,27 @@ class _Sight:
         return np.asarray(features - self.features) if (depth < 0.0).all() else None
 
 
-def _fit(sight: _Sight, log: Log, frames: Frames) -> tuple[Interval, Interval, float | None, Array] | str:
-    """Return the shift of the frames' times, the noise, what is predicted, and where the target is."""
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """What the motion of joints and image gives."""
+
+    shift: Interval  # of the frames' times [s]
+    jitter: float | None  # of these [s]; None where none is seen
+    noise: Interval  # standard deviation of a coordinate [px]
+    explained: float | None  # share of the image motion kept apart that is predicted
+    target: Array  # (6,) displacement [m; rad]
+    target_deviations: Array  # (6,)
+
+
+def _fit(sight: _Sight, log: Log, *, stamped: bool) -> _Fit | str:
+    """Return what the motion gives, or why it gives nothing."""
     count = len(sight.times)
     if count < _FEWEST:
         return f"expected at least {_FEWEST} frames {1e3 * sight.latest:.0f} ms after the start of the log, got {count}"
     fitted = int(FITTED * count)
     part = _Sight(sight.scene, sight.joints, sight.features[:fitted], sight.times[:fitted], sight.latest, sight.centre)
     unit = np.concatenate([np.full(3, sight.scene.depth), np.ones(3)])
-    lowest = 0.0 if frames.exposure is None else -sight.latest
+    lowest = -sight.latest if stamped else 0.0
 
     def residuals(x: Array) -> Array:
         left = part.left(float(x[0] * sight.latest), x[1:] * unit)
@@ -224,15 +230,45 @@ def _fit(sight: _Sight, log: Log, frames: Frames) -> tuple[Interval, Interval, f
     fit = least_squares(residuals, first, bounds=bounds, x_scale="jac", max_nfev=_ROUNDS)
     left = fit.fun.reshape(part.features.shape)
     together = max(correlated(column) for column in left.T)
-    sigma = deviations(fit.jac, fit.fun, fit.fun.size / together)
+    sigma = robust_deviations(fit.jac, fit.fun, fitted, together)
     shift = _bounded(Interval.around(fit.x[0], float(sigma[0])).times(sight.latest), lowest, sight.latest)
-    freedom = fit.fun.size - len(fit.x)
-    power = float(fit.fun @ fit.fun)
+    noise, jitter = _noise_and_jitter(left, fit.jac[:, 0].reshape(left.shape) / sight.latest, together)
+    explained = _predicted(sight, log, shift.value, fit.x[1:] * unit, fitted)
+    return _Fit(shift, None if stamped else jitter, noise, explained, fit.x[1:] * unit, sigma[1:] * unit)
+
+
+def _noise_and_jitter(left: Array, speed: Array, together: float) -> tuple[Interval, float | None]:
+    """Return the standard deviation of a coordinate [px], and how much later some frames are than others [s].
+
+    A frame that is late by d differs by d times the speed of the image, and so along it only: what is at right angles
+    is noise. Along it the variance is that of the noise and speed^2 times that of d, the most likely of which counts if
+    its likelihood ratio to 0 is significant. The width of a uniform distribution is sqrt(12) standard deviations.
+
+    Parameters
+    ----------
+    left
+        (m, 2p) residuals [px].
+    speed
+        (m, 2p) of the image [px/s].
+    together
+        Over how many frames residuals are correlated.
+    """
+    size = np.linalg.norm(speed, axis=1)
+    along = np.einsum("ij,ij->i", left, speed) / np.where(size > 0.0, size, 1.0)
+    power = float((left**2).sum() - along @ along)
+    freedom = len(left) * (left.shape[1] - 1) - _TARGET
     low, high = chi2.ppf([0.5 + LEVEL / 2, 0.5 - LEVEL / 2], freedom / together)
-    noise = Interval(
-        float(np.sqrt(power / freedom)), float(np.sqrt(power / together / low)), float(np.sqrt(power / together / high))
-    )
-    return shift, noise, _predicted(sight, log, shift.value, fit.x[1:] * unit, fitted), fit.x[1:] * unit
+    noise = Interval(*(float(np.sqrt(power / number)) for number in (freedom, together * low, together * high)))
+
+    def cost(deviation: float) -> float:  # -2 log of the likelihood, of frames whose times have this deviation [s]
+        variance = noise.value**2 + (size * deviation) ** 2
+        return float((np.log(variance) + along**2 / variance).sum())
+
+    if noise.value <= 0.0:
+        return noise, None
+    best = minimize_scalar(cost, bounds=(0.0, MOST_LATENCY), method="bounded", options={"xatol": _EDGE / 10})
+    seen = cost(0.0) - cost(best.x) > together * chi2.ppf(LEVEL, 1)
+    return noise, float(np.sqrt(12.0) * best.x) if seen else None
 
 
 def _predicted(sight: _Sight, log: Log, late: float, displacement: Array, fitted: int) -> float | None:

@@ -7,6 +7,7 @@ from dataclasses import asdict
 from hexservo.findings.evidence import Column, Section, Table, Verdict
 from hexservo.findings.identification.drives_words import with_interval
 from hexservo.findings.identification.frames import MOST_LATENCY, CameraFit
+from hexservo.findings.identification.interval import Interval
 from hexservo.scenario.wording import number
 
 __all__ = ["section"]
@@ -26,12 +27,15 @@ def section(found: CameraFit) -> Section:
         ("latency", with_interval(None if found.latency is None else found.latency.times(1e3)), "ms"),
         ("a frame is later by at most", None if found.jitter is None else number(1e3 * found.jitter), "ms"),
         ("exposure times are late by", with_interval(found.stamps and found.stamps.times(1e3)), "ms"),
-        ("frames that did not arrive", number(100 * found.dropout), "%"),
+        ("frames that did not arrive", with_interval(found.dropout and found.dropout.times(100)), "%"),
         ("noise of a coordinate", with_interval(found.noise), "px"),
         ("predicted of the part kept apart", None if found.explained is None else number(100 * found.explained), "%"),
+        *_rows_of_the_target(found),
     ]
-    table = Table("Camera, with 95 % intervals", (Column("quantity"), Column("value"), Column("unit")), rows, page=PAGE)
-    good = found.latency_is_known and (found.explained or 0.0) >= _GOOD
+    table = Table(
+        "Camera; in brackets 95 % intervals", (Column("quantity"), Column("value"), Column("unit")), rows, page=PAGE
+    )
+    good = found.latency_is_known and found.period is not None and (found.explained or 0.0) >= _GOOD
     verdict: Verdict = "bad" if not found.explains else "good" if good else "warning"
     return Section("camera", _TITLE, _sentences(found), (table,), verdict, data)
 
@@ -48,11 +52,12 @@ def _sentences(found: CameraFit) -> list[str]:
             "target; the order or the sign of the legs; an image that moves by little more than its noise."
         ]
     if latency is not None and found.at_edge:
-        return _at_edge(found)
+        return [*_at_edge(found), *_without_period(found)]
     if latency is None or not found.latency_is_known:
         return [
+            *_without_period(found),
             f"The log does not tell the latency of the camera, which may be anything from 0 to "
-            f"{1e3 * MOST_LATENCY:.0f} ms: the platform has to move while frames are taken."
+            f"{1e3 * MOST_LATENCY:.0f} ms: the platform has to move while frames are taken.",
         ]
     words = [
         f"A frame arrives {number(1e3 * latency.value)} ms after it was taken ({number(1e3 * latency.low)} to "
@@ -70,7 +75,30 @@ def _sentences(found: CameraFit) -> list[str]:
             f"{found.stragglers} of {found.frames} frames arrived far from when the others do, and are left out of "
             "latency and jitter."
         )
-    return [*words, _of_the_target(found)]
+    if stamps is None and found.jitter is not None:
+        words.append(
+            "The image is off by more where it moves faster, as of frames that arrive up to "
+            f"{number(1e3 * found.jitter)} ms later than the earliest; the noise is that of an image at rest."
+        )
+    return [*words, *_without_period(found), _of_the_target(found)]
+
+
+def _without_period(found: CameraFit) -> list[str]:
+    if found.period is not None:
+        return []
+    return [
+        "The times of the frames do not tell their period: their jitter is as long as it is, or the rate changes. The "
+        "keys `camera.period` and `camera.dropout` are left as they are."
+    ]
+
+
+def _rows_of_the_target(found: CameraFit) -> list[tuple[str, str | None, str]]:
+    names = [f"target displaced along {axis}" for axis in "xyz"] + [f"target turned about {axis}" for axis in "xyz"]
+    around = [Interval.around(*pair) for pair in zip(found.target, found.target_deviations, strict=True)]
+    return [
+        (name, with_interval(one.times(1e3)), unit)
+        for name, one, unit in zip(names, around, 3 * ["mm"] + 3 * ["mrad"], strict=True)
+    ]
 
 
 def _at_edge(found: CameraFit) -> list[str]:

@@ -9,7 +9,7 @@ from scipy.stats import norm
 
 from hexservo.scenario.arrays import Array
 
-__all__ = ["LEVEL", "Interval", "correlated", "deviations", "half_width"]
+__all__ = ["LEVEL", "Interval", "correlated", "deviations", "half_width", "robust_deviations"]
 
 LEVEL = 0.95
 """Confidence of all intervals."""
@@ -89,10 +89,46 @@ def deviations(jacobian: Array, left: Array, independent: float) -> Array:
         How many of them are independent.
     """
     variance = float(left @ left) / max(independent * (1.0 - jacobian.shape[1] / len(left)), 1.0)
-    scale = np.sqrt((jacobian * jacobian).sum(axis=0))
-    scale = np.where(scale > 0.0, scale, 1.0)
-    values, vectors = np.linalg.eigh((jacobian / scale).T @ (jacobian / scale))
+    scale, values, vectors = _normal(jacobian)
     shares = np.where(vectors**2 > _ZERO, vectors**2, 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         parts = np.where(shares > 0.0, shares / np.where(values > _ZERO, values, 0.0), 0.0)
     return np.asarray(np.sqrt(variance * parts.sum(axis=1)) / scale)
+
+
+def robust_deviations(jacobian: Array, left: Array, samples: int, correlated: float) -> Array:
+    """Return the same for residuals of any variance, (f,): those of a sample may depend on each other.
+
+    The sandwich A^-1 (sum_i J_i^T e_i e_i^T J_i) A^-1 with A = J^T J, where e_i are the residuals that sample i has if
+    it is not fitted, (I - J_i A^-1 J_i^T)^-1 times its own: the jackknife, which does not promise too much where few
+    samples determine a number.
+
+    Parameters
+    ----------
+    jacobian
+        (n, f) of the residuals, sample by sample.
+    left
+        (n,) residuals.
+    samples
+        How many samples they are of, each with n/samples residuals.
+    correlated
+        Over how many samples residuals are correlated, 1 or more.
+    """
+    scale, values, vectors = _normal(jacobian)
+    known = values > _ZERO
+    inverse = (vectors[:, known] / values[known]) @ vectors[:, known].T
+    parts, rest = (jacobian / scale).reshape(samples, -1, jacobian.shape[1]), left.reshape(samples, -1)
+    kept, turns = np.linalg.eigh(np.eye(rest.shape[1]) - parts @ inverse @ parts.transpose(0, 2, 1))
+    along = np.einsum("ijk,ij->ik", turns, rest)
+    alone = np.einsum("ijk,ik->ij", turns, np.where(kept > _ZERO, along / np.maximum(kept, _ZERO), 0.0))
+    scores = np.einsum("ijf,ij->if", parts, alone) @ inverse
+    open_to_any = (vectors[:, ~known] ** 2 > _ZERO).any(axis=1)
+    return np.where(open_to_any, np.inf, np.sqrt(correlated * (scores * scores).sum(axis=0)) / scale)
+
+
+def _normal(jacobian: Array) -> tuple[Array, Array, Array]:
+    """Return the lengths of the columns, and eigenvalues and eigenvectors of J^T J with columns of length 1."""
+    scale = np.sqrt((jacobian * jacobian).sum(axis=0))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    values, vectors = np.linalg.eigh((jacobian / scale).T @ (jacobian / scale))
+    return scale, values, vectors
