@@ -46,8 +46,8 @@ def unlikely(scenario: Scenario) -> list[str]:
     image, times of the camera and of the metrics with the duration, a recorded acceleration with that of gravity, the
     period of frames with what finds an unknown latency, and in sampled mode the servo period with the loop of the
     gains, linearised at home with the switching term as in `linear_law`; gains with duration, servo rate, delays,
-    forces and noise (`of_gains`). Gains with which numbers of that loop overflow have a sentence that names it. Does not
-    simulate.
+    forces and noise (`of_gains`). Gains with which numbers of that loop overflow have a sentence that names it. Does
+    not simulate.
     """
     scene = scene_of(scenario)
     fastest, overflow = None, []
