@@ -10,8 +10,8 @@
 ///
 /// of zero for the true latency, but for noise; for another one the camera's own motion stays in it. So each candidate
 /// has a cost, the sum of |r_j|^2 over its variance; what lies within `kLatencyCost` of the least cost is possible.
-/// Without motion all candidates cost the same. Frames that no candidate explains (a target that jumps, an outlier) do
-/// not count, and less do those taken in a motion that a scatter of the latency, L ... L + jitter, leaves undecided.
+/// Without motion all candidates cost the same. Frames that no candidate explains (a target that jumps) count less, as
+/// do those taken in a motion that a scatter of the latency, L ... L + jitter, leaves undecided.
 #pragma once
 
 #include "hexservo/camera.hpp"
@@ -91,8 +91,7 @@ class LatencyEstimator {
     const S variance = noise * noise * (S(1.0) + (S(1.0) + ratio) * (S(1.0) + ratio) + ratio * ratio) +
                        S(kLatencyModelError * kLatencyModelError) * spread + scatter;
     const S share = S(1.0) / (variance + S(1.0 / kLatencyCost) * least);  // of a triple that some candidate explains
-    // Two components of three standard deviations: what is farther off is an outlier, or noise that was not expected.
-    const Mask<S> good = counts & is_finite(S(squares.sum())) & (least <= S(2.0 * kLatencyCost) * variance);
+    const Mask<S> good = counts & is_finite(S(squares.sum()));
     for (int j = 0; j < kLatencies; ++j)
       cost_(j) = select(good, S(S(kLatencyMemory) * cost_(j) + (squares(j) - least) * share), cost_(j));
     stamps_(1) = select(taken, stamps_(0), stamps_(1));
