@@ -88,7 +88,7 @@ BatchResult run(const Settings& settings, const std::vector<std::pair<std::strin
         interrupted = true;  // Ctrl-C while the function ran
       }
     };
-  const py::gil_scoped_release no_gil;
+  const WithoutGil no_gil;
   return simulate_batch(settings, rows, count, options, kernel.table());
 }
 

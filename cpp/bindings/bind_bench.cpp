@@ -33,10 +33,11 @@ void bind_bench(py::module_& m) {
   m.def(
       "time_ticks",
       [](const Settings& settings, long long periods, double rate, bool realtime) {
-        return time_ticks(settings, {periods, rate, realtime, interrupt_question()});
+        const TickBenchmarkOptions options{periods, rate, realtime, interrupt_question()};
+        const WithoutGil no_gil;
+        return time_ticks(settings, options);
       },
       py::arg("settings"), py::arg("periods"), py::arg("rate") = 0.0, py::arg("realtime") = false,
-      py::call_guard<py::gil_scoped_release>(),
       "Times `periods` ticks that replay a recorded run; rate [Hz], 0: one after another. Ctrl-C ends it.");
 }
 

@@ -40,7 +40,7 @@ void bind_kernel(py::module_& m) {
           "flags", [](const KernelHandle& k) { return k.table().flags; }, "of the compiler")
       .def(
           "fma_peak", [](const KernelHandle& k, double seconds) { return k.table().fma_peak(seconds); },
-          py::arg("seconds") = 0.1, py::call_guard<py::gil_scoped_release>(),
+          py::arg("seconds") = 0.1, py::call_guard<WithoutGil>(),
           "Measured peak of one core in vector multiply-adds [GFLOP/s].");
 
   m.def("processor_features", &processor_features,

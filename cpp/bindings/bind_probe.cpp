@@ -133,7 +133,7 @@ py::tuple image(const Probe& probe, const py::object& p, const py::object& q) {
   Made features(position.count(), two_each(probe)), depth(position.count(), one_each(probe));
   {
     const Column to_features = features.column(), to_depth = depth.column();
-    const py::gil_scoped_release no_gil;
+    const WithoutGil no_gil;
     probe.image(position.rows(), quaternion.rows(), to_features, to_depth);
   }
   return py::make_tuple(features.array(), depth.array());
@@ -183,7 +183,7 @@ py::array_t<double> image_jacobian(const Probe& probe, const py::object& f, cons
   Made jacobian(features.count(), {2 * probe.points(), 6});
   {
     const Column to = jacobian.column();
-    const py::gil_scoped_release no_gil;
+    const WithoutGil no_gil;
     probe.image_jacobian(features.rows(), depth.rows(), position ? position->rows() : Rows{}, quaternion.rows(),
                          controller, to);
   }
@@ -220,7 +220,7 @@ LawProbe law(const Probe& probe, const py::object& f, const py::object& z, const
     parts[text(kNamesOf<LawPart>[part])] = made.array();
   }
   {
-    const py::gil_scoped_release no_gil;
+    const WithoutGil no_gil;
     probe.law(states.rows(), out);
   }
   return {wrench.array(),
@@ -240,7 +240,7 @@ py::array_t<double> acceleration(const Probe& probe, const py::object& p, const 
   Made made(n, kSix);
   {
     const Column to = made.column();
-    const py::gil_scoped_release no_gil;
+    const WithoutGil no_gil;
     probe.acceleration(position.rows(), quaternion.rows(), twist.rows(), wrench.rows(), to);
   }
   return made.array();
@@ -253,7 +253,7 @@ py::tuple estimated_wrenches(const Probe& probe, const py::object& q, const py::
   Made inertial(n, kSix), coriolis(n, kSix);
   {
     const Column to_inertial = inertial.column(), to_coriolis = coriolis.column();
-    const py::gil_scoped_release no_gil;
+    const WithoutGil no_gil;
     probe.estimated_wrenches(quaternion.rows(), twist.rows(), given.rows(), to_inertial, to_coriolis);
   }
   return py::make_tuple(inertial.array(), coriolis.array(), probe.gravity());
@@ -286,7 +286,7 @@ StageProbe stages(const Probe& probe, const py::object& f, const py::object& z, 
                            next_features.column(), next_depth.column(),
                            next_position.column(), next_quaternion.column(),
                            next_twist.column(),    column_or_none(next_weights)};
-    const py::gil_scoped_release no_gil;
+    const WithoutGil no_gil;
     probe.stages(states.rows(), out);
   }
   return {features.array(),      depth.array(),

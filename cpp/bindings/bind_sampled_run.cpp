@@ -119,7 +119,7 @@ void bind_sampled_run(py::module_& m) {
            "A run, and on to the tick of its first image.")
       .def(
           "command", [](SampledRuns& runs, const Wrenches& wrenches) { runs.command(wrenches.transpose()); },
-          py::arg("wrenches"), py::call_guard<py::gil_scoped_release>(),
+          py::arg("wrenches"), py::call_guard<WithoutGil>(),
           "Wrenches (count, 6) in B beyond the estimated weight [N; N m], and on to the next tick.")
       .def("rows", &rows_of,
            "What the sensors gave last, a row per place: features [px], position [m], quaternion, twist [m/s; rad/s], "

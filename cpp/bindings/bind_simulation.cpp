@@ -31,7 +31,6 @@ py::array_t<double> point_rows(const py::object& self) {
 }  // namespace
 
 std::function<bool()> interrupt_question() {
-  const py::gil_scoped_acquire gil;
   const auto threading = py::module_::import("threading");
   if (!threading.attr("get_ident")().equal(threading.attr("main_thread")().attr("ident"))) return {};
   return [] {
@@ -47,9 +46,11 @@ void bind_simulate(py::module_& m) {
   m.def(
       "simulate",
       [](const Settings& settings, const KernelHandle& kernel, bool log_weights) {
-        return simulate(settings, interrupt_question(), kernel.table(), log_weights);
+        const auto question = interrupt_question();
+        const WithoutGil no_gil;
+        return simulate(settings, question, kernel.table(), log_weights);
       },
-      py::arg("settings"), py::arg("kernel"), py::arg("log_weights") = false, py::call_guard<py::gil_scoped_release>(),
+      py::arg("settings"), py::arg("kernel"), py::arg("log_weights") = false,
       "Runs a scenario; ValueError for a bad one, a trajectory with its outcome otherwise. Ctrl-C ends it with "
       "`interrupted`.");
 }

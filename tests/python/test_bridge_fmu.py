@@ -51,7 +51,7 @@ def library() -> None:
 class Unit:
     """An instance of a unit, by names of its variables."""
 
-    def __init__(self, folder: str, description: Any) -> None:
+    def __init__(self, folder: str, description: Any, **instantiation: Any) -> None:
         self.references = {v.name: v.valueReference for v in description.modelVariables}
         self.types = {v.name: v.type for v in description.modelVariables}
         self.two = description.fmiVersion == "2.0"
@@ -59,7 +59,7 @@ class Unit:
         token = description.guid if self.two else description.instantiationToken
         identifier = description.coSimulation.modelIdentifier
         self.fmu = kind(guid=token, unzipDirectory=folder, modelIdentifier=identifier, instanceName="one")
-        self.fmu.instantiate()
+        self.fmu.instantiate(**instantiation)
         self.time = 0.0
 
     def start(self, **parameters: Any) -> None:
@@ -535,9 +535,7 @@ def test_a_step_within_which_the_run_ends_returns_early(make: Any) -> None:
     scenario = hs.load_scenario("paper").updated({"controller.hybrid.kp": 1.0})
     made, run = make(scenario, 3), hs.simulate(scenario)
     for allowed in (False, True):
-        unit = Unit(made.folder, made.description)
-        unit.fmu.freeInstance()
-        unit.fmu.instantiate(earlyReturnAllowed=allowed)
+        unit = Unit(made.folder, made.description, earlyReturnAllowed=allowed)
         unit.start()
         _, terminates, early, last = unit.fmu.doStep(currentCommunicationPoint=0.0, communicationStepSize=0.5)
         assert terminates
