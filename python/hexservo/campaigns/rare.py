@@ -28,12 +28,10 @@ _FEWEST_CHAINS = 10
 _STEP = 0.6  # s of the first proposals, x' = sqrt(1 - s^2) x + s z; then by the share that is accepted
 _ACCEPTED = 0.44  # share of proposals to accept (Papaioannou et al. 2015)
 _NEW_NOISE = 0.5  # share of the proposals that have other noise
-_FEWEST_CHANGES = (
-    1.0  # of its noise that a chain makes, on average; with fewer, most runs have the noise of their start
-)
-_FEWEST_KINDS = (
-    10.0  # of noise: with so many the share of a tenth has a standard deviation of sqrt(0.9/0.1/10), about 1
-)
+# of its noise that a chain makes, on average; with fewer, most runs have the noise of their start
+_FEWEST_CHANGES = 1.0
+# of noise: with so many the share of a tenth has a relative standard deviation of sqrt(0.9/0.1/10), about 1
+_FEWEST_KINDS = 10.0
 
 
 @dataclass(frozen=True, eq=False)
