@@ -25,6 +25,8 @@ from hexservo.findings.diagnosis.runs import record_of
 from hexservo.findings.diagnosis.words import misses
 from hexservo.findings.evidence import Table
 from hexservo.run.leg_limits import most_used
+from hexservo.run.leg_motion import singular_passage
+from hexservo.run.summary import summary_sentences
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.wording import number
 
@@ -315,3 +317,27 @@ def test_travel_is_counted_from_its_middle_in_every_sentence(paper: hs.Scenario)
     taken = np.abs(result.leg_lengths - legs.home_lengths - 0.003).max()
     assert use.peak == pytest.approx(taken, rel=1e-9)
     assert use.excess.startswith(f"takes a leg {number(1e3 * taken)} mm from the middle of its travel")
+
+
+@pytest.mark.parametrize("name", ["paper", "unknown-payload"])
+def test_a_singular_pose_between_two_samples_is_named(name: str) -> None:
+    """By the sign of the determinant of the legs' unit vectors and moments, formed here from the joints."""
+    result = hs.simulate(hs.load_scenario(name))
+    hexapod = _core.Hexapod(core_parameters(result.scenario).robot)
+    arms = np.einsum(
+        "nij,kj->nki",
+        Rotation.from_quat(np.roll(result.quaternion, -1, axis=1)).as_matrix(),
+        np.asarray(hexapod.platform_joints),
+    )
+    legs = result.position[:, None] + arms - np.asarray(hexapod.base_joints)
+    units = legs / np.linalg.norm(legs, axis=2, keepdims=True)
+    signs = np.sign(np.linalg.det(np.concatenate([units, np.cross(arms, units)], axis=2)))
+    turned = np.flatnonzero(signs != signs[0])
+    sentences = [sentence for sentence in summary_sentences(result) if "singular" in sentence]
+    if name == "paper":
+        assert len(turned) == 0
+        assert singular_passage(result) is None
+        assert not sentences
+    else:
+        assert singular_passage(result) == result.time[turned[0]]
+        assert f"{result.time[turned[0]]:.4g} s" in sentences[0]

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["LegMotion", "leg_motions", "singular_passage", "singular_passage_sentence"]
 
+_ROWS = 4096  # of a log that are looked at together
 _IN_SIGHT = 4.0  # times what the legs do: a limit farther out is no line of the chart
 
 
@@ -99,10 +100,16 @@ def singular_passage(result: Result) -> float | None:
         Time of the first sample at which det H has another sign than at the start [s]; None: of no sample.
     """
     hexapod = _core.Hexapod(core_parameters(result.scenario).robot)
-    maps = [hexapod.wrench_map(*pose) for pose in zip(result.position, result.quaternion, strict=True)]
-    signs = np.linalg.slogdet(np.array(maps)).sign
-    turned = signs * signs[0] < 0.0
-    return float(result.time[turned.argmax()]) if turned.any() else None
+    first = 0.0
+    for begin in range(0, len(result.time), _ROWS):
+        rows = slice(begin, begin + _ROWS)
+        maps = [hexapod.wrench_map(*pose) for pose in zip(result.position[rows], result.quaternion[rows], strict=True)]
+        signs = np.linalg.slogdet(np.array(maps)).sign
+        first = first or signs[0]
+        turned = signs * first < 0.0
+        if turned.any():
+            return float(result.time[rows][turned.argmax()])
+    return None
 
 
 def singular_passage_sentence(result: Result) -> str | None:
