@@ -51,12 +51,15 @@ class PlantOf final : public PlantInSteps {
 
 }  // namespace
 
-std::unique_ptr<PlantInSteps> commanded_plant(const Settings& settings) {
-  if (settings.simulation.mode != LoopMode::sampled)
-    refuse("simulation.mode", "sampled for a plant that is commanded", "continuous");
+void require_commanded(const Settings& settings, const std::string& by) {
+  if (settings.simulation.mode != LoopMode::sampled) refuse("simulation.mode", "sampled for " + by, "continuous");
   if (takes_positions(settings.actuators.kind))
-    refuse("actuators.kind", "force for a plant that is commanded, whose wrench acts on the platform",
+    refuse("actuators.kind", words("force for ", by, ", whose wrench acts on the platform"),
            "one that takes positions");
+}
+
+std::unique_ptr<PlantInSteps> commanded_plant(const Settings& settings) {
+  require_commanded(settings, "a plant that is commanded");
   return with_loop(
       settings,
       [&]<class Law, int N>(std::type_identity<Law>, std::integral_constant<int, N>) -> std::unique_ptr<PlantInSteps> {

@@ -28,7 +28,11 @@ class PlantInSteps {
   double time = 0.0;                                ///< of it [s]
 };
 
-/// @throws std::invalid_argument as `simulate`, and for scenarios in continuous mode or with legs that take positions
+/// Refuses scenarios whose plant no caller can command: in continuous mode, or with legs that take positions.
+/// @param by whose wrench it is, or what takes it
+void require_commanded(const Settings& settings, const std::string& by);
+
+/// @throws std::invalid_argument as `simulate` and `require_commanded`
 std::unique_ptr<PlantInSteps> commanded_plant(const Settings& settings);
 
 }  // namespace hexservo::detail

@@ -1,12 +1,11 @@
 #include "hexservo/sampled_run.hpp"
 
 #include "check.hpp"
+#include "plant_in_steps.hpp"
 #include "run_loop.hpp"
 #include "trajectory_log.hpp"
 
 namespace hexservo {
-
-using detail::refuse;
 
 /// A run of any number of points.
 struct SampledRun::Books {
@@ -102,11 +101,7 @@ struct SampledRun::BooksOf final : Books {
 };
 
 SampledRun::SampledRun(const Settings& settings) {
-  if (settings.simulation.mode != LoopMode::sampled)
-    refuse("simulation.mode", "sampled for a custom controller", "continuous");
-  if (takes_positions(settings.actuators.kind))
-    refuse("actuators.kind", "force for a custom controller, whose wrench acts on the platform",
-           "one that takes positions");
+  detail::require_commanded(settings, "a custom controller");
   auto kept = std::make_shared<const Settings>(settings);
   books_ = with_loop(
       *kept, [&]<class Law, int N>(std::type_identity<Law>, std::integral_constant<int, N>) -> std::unique_ptr<Books> {

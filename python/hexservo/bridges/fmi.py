@@ -22,7 +22,7 @@ from hexservo.run.files import write_file
 from hexservo.run.metrics import METRICS, metric_unit
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.flat import flat
-from hexservo.scenario.leg_units import leg_units, unit_of
+from hexservo.scenario.leg_units import leg_units, unit_of, unit_of_entry
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario, require_scenario
 from hexservo.scenario.version import VERSION
@@ -150,10 +150,8 @@ def _is_ours(path: Path) -> bool:
             if entry.compress_type != zipfile.ZIP_DEFLATED:  # ours are packed so, and other methods have other errors
                 return False
             return archive.read(entry).startswith(f"{_TITLE}\n".encode())
-    except (OSError, KeyError, zipfile.BadZipFile):
-        return False
-    except (zlib.error, EOFError, RuntimeError, ValueError):  # damaged or encrypted
-        return False
+    except (OSError, KeyError, zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, ValueError):
+        return False  # no archive of ours, or one that is damaged or encrypted
 
 
 def _parameters(scenario: Scenario, settings: _core.Settings) -> Iterator[UnitVariable]:
@@ -191,11 +189,8 @@ def _place(shape: tuple[int, ...], index: int) -> str:
 
 
 def _unit(unit: str, index: int, count: int) -> str:
-    """Return the unit of an entry: "linear; angular" is about six numbers, three of each."""
-    units = unit.split("; ")
-    if len(units) == 1:
-        return unit
-    return units[index // 3] if count == 6 else ""
+    """Return the unit of an entry; none where two units are not those of six numbers."""
+    return unit_of_entry(unit, index) if count == 6 or "; " not in unit else ""
 
 
 def _array(

@@ -14,7 +14,7 @@ from hexservo.campaigns.distributions import SEED, Variation, uniform_of
 from hexservo.run.variations import known_key, plain_row
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.keys import numeric_keys, value_at
-from hexservo.scenario.leg_units import unit_of
+from hexservo.scenario.leg_units import unit_of, unit_of_entry
 from hexservo.scenario.parameters import units_of_keys
 from hexservo.scenario.scenario import Scenario
 
@@ -54,8 +54,8 @@ def with_unit(scenario: Scenario, name: str) -> str:
     key, _, entry = name.partition("[")
     law = scenario.controller.law
     unit = units_of_keys(law).get(key) or _UNITS.get(key.removeprefix(f"controller.{law}."), "")
-    if "; " in unit and entry:  # of a pose, a twist or a wrench: three linear components, three angular ones
-        unit = unit.split("; ")[int(entry.partition("]")[0]) // 3]
+    if entry:
+        unit = unit_of_entry(unit, int(entry.partition("]")[0]))
     unit = unit_of(scenario.robot, key, unit)
     return f"{name} [{unit}]" if unit else name
 

@@ -352,8 +352,7 @@ def _report(result: hs.Result, elapsed: float, folder: str | None, *, hint: bool
     """Print the outcome of a run, its metrics, why its law did not act, exceeded limits, and the place of its files."""
     from rich.text import Text
 
-    from hexservo.run.leg_motion import singular_passage_sentence
-    from hexservo.run.summary import without_image
+    from hexservo.run.summary import singular_passage_sentence, without_image
 
     name = result.scenario.name
     if result.outcome == "completed":

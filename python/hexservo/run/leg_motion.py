@@ -17,7 +17,7 @@ from hexservo.scenario.parameters import core_parameters
 if TYPE_CHECKING:
     from hexservo.run.result import Result
 
-__all__ = ["LegMotion", "leg_motions", "singular_passage", "singular_passage_sentence"]
+__all__ = ["LegMotion", "leg_motions", "singular_passage"]
 
 _ROWS = 4096  # of a log that are looked at together
 _IN_SIGHT = 4.0  # times what the legs do: a limit farther out is no line of the chart
@@ -110,11 +110,3 @@ def singular_passage(result: Result) -> float | None:
         if turned.any():
             return float(result.time[rows][turned.argmax()])
     return None
-
-
-def singular_passage_sentence(result: Result) -> str | None:
-    """Return `singular_passage` as a sentence; None: the legs pass none."""
-    time = singular_passage(result)
-    if time is None:
-        return None
-    return f"By t = {time:.4g} s the legs have passed a singular pose: no machine moves as the run does from there on."

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hexservo.run.leg_limits import leg_limits
-from hexservo.run.leg_motion import singular_passage_sentence
+from hexservo.run.leg_motion import singular_passage
 from hexservo.run.metrics import metrics, readable, unsettled
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.pixels import points_outside
@@ -16,7 +16,7 @@ from hexservo.scenario.wording import number, quantity
 if TYPE_CHECKING:
     from hexservo.run.result import Result
 
-__all__ = ["summary_sentences", "without_image"]
+__all__ = ["singular_passage_sentence", "summary_sentences", "without_image"]
 
 
 def summary_sentences(result: Result) -> list[str]:
@@ -104,3 +104,11 @@ def _legs(result: Result) -> list[str]:
         sentences.append(f"The largest {limit.of_leg} is {found} {shown} of the {limit.text} allowed; {verdict}.")
     passage = singular_passage_sentence(result)
     return sentences if passage is None else [*sentences, passage]
+
+
+def singular_passage_sentence(result: Result) -> str | None:
+    """Return `singular_passage` as a sentence; None: the legs pass none."""
+    time = singular_passage(result)
+    if time is None:
+        return None
+    return f"By t = {time:.4g} s the legs have passed a singular pose: no machine moves as the run does from there on."

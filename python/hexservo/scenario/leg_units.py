@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from hexservo.scenario.blocks import Robot
 
-__all__ = ["LegUnits", "leg_units", "stroke_length", "unit_of"]
+__all__ = ["LegUnits", "leg_units", "stroke_length", "unit_of", "unit_of_entry"]
 
 
 @dataclass(frozen=True)
@@ -96,3 +96,9 @@ def stroke_length(robot: Robot) -> float:
     """Return about how far the stroke moves a platform joint [m]: of a crank, how far its end goes."""
     length = robot.cranks.length
     return robot.stroke if length is None else robot.stroke * length
+
+
+def unit_of_entry(unit: str, index: int) -> str:
+    """Return the unit of an entry: "linear; angular" is about six numbers, three of each; others have one for all."""
+    units = unit.split("; ")
+    return units[index // 3] if len(units) > 1 else unit
