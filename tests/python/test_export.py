@@ -205,56 +205,78 @@ def test_the_namespace_is_the_scenario_as_cpp_allows_it(paper: hs.Scenario, name
     assert f"\nnamespace {identifier} {{\n" in text
 
 
-@pytest.mark.skipif(shutil.which("g++") is None or EIGEN is None, reason="needs g++ and Eigen, as building does")
-@pytest.mark.parametrize(("law", "points"), [("hybrid", False), *((law, law in ("hybrid", "pbvs")) for law in MEMBERS)])
-def test_cpp_reads_every_number_back_bit_for_bit(paper: hs.Scenario, tmp_path: Path, law: str, points: bool) -> None:
-    scenario = uncommon(paper, law)
-    seen = ["target.initial_features", "target.depth"]
-    if points:
-        where = [[0.03, 0.02, -0.61], [0.05, -1 / 17, -0.65], [-0.04, 0.03, -0.7], [-0.01, -0.02, -0.6]]
-        changes: dict[str, Any] = {"target.initial_features": None, "target.depth": None, "target.points": where}
-        turn = Rotation.from_rotvec(scenario.robot.home_attitude)
-        rays = turn.inv().apply(np.asarray(where) - scenario.robot.home_position)
-        f = scenario.camera.focal_length * scenario.camera.pixel_scale
-        changes["target.desired_features"] = (-f * rays[:, :2] / rays[:, 2:] + [-20 / 3, -8 / 7]).ravel().tolist()
-        hexapod = _core.Hexapod(core_parameters(scenario).robot)
-        for side, placed in (("platform", hexapod.platform_joints), ("base", hexapod.base_joints)):
-            changes |= {f"robot.{side}_joints": placed, f"robot.{side}_radius": None, f"robot.{side}_angles": None}
-        scenario = scenario.updated({**changes, "camera.convention": "eye_in_hand"})
-        seen = ["target.points", "robot.platform_joints", "robot.base_joints"]
-    write_header(gains_header(scenario, 1 / 1700), tmp_path / "gains.hpp")
-    place = {name: f"*s.{name}" for name in seen if "joints" in name or "points" in name} | {
-        name: name for name in OWN[law]
-    }
-    shows = "".join(f'  show("{name}", {place.get(name, f"s.{name}")});\n' for name in MEMBERS[law] + seen)
-    (tmp_path / "main.cpp").write_text(
-        f"""#include "gains.hpp"
-#include <cstdio>
+CASES = [("hybrid", False), *((law, law in ("hybrid", "pbvs")) for law in MEMBERS)]
+PROGRAM = """#include <cstdio>
+#include <cstdlib>
 template <class T>
-void show(const char* name, const T& value) {{
+void show(const char* name, const T& value) {
   std::printf("%s", name);
-  if constexpr (requires {{ value.rows(); }}) {{
+  if constexpr (requires { value.rows(); }) {
     for (Eigen::Index i = 0; i < value.rows(); ++i)
       for (Eigen::Index k = 0; k < value.cols(); ++k) std::printf(" %a", double(value(i, k)));
-  }} else {{
+  } else {
     std::printf(" %a", double(value));
-  }}
+  }
   std::printf("\\n");
-}}
-int main() {{
-  const auto s = hexservo_2nd_one::settings();
-  [[maybe_unused]] const auto& gains = s.gains<hexservo_2nd_one::Law>();
-  show("period", hexservo_2nd_one::period);
-{shows}}}
-""",
-        encoding="utf-8",
-    )
+}
+"""
+
+
+def exported(paper: hs.Scenario, law: str, points: bool) -> tuple[hs.Scenario, list[str]]:
+    """An uncommon scenario, and the keys of what it sees."""
+    scenario = uncommon(paper, law).updated({"name": f"2nd-one..ü-{law}{'-points' if points else ''}"})
+    if not points:
+        return scenario, ["target.initial_features", "target.depth"]
+    where = [[0.03, 0.02, -0.61], [0.05, -1 / 17, -0.65], [-0.04, 0.03, -0.7], [-0.01, -0.02, -0.6]]
+    changes: dict[str, Any] = {"target.initial_features": None, "target.depth": None, "target.points": where}
+    turn = Rotation.from_rotvec(scenario.robot.home_attitude)
+    rays = turn.inv().apply(np.asarray(where) - scenario.robot.home_position)
+    f = scenario.camera.focal_length * scenario.camera.pixel_scale
+    changes["target.desired_features"] = (-f * rays[:, :2] / rays[:, 2:] + [-20 / 3, -8 / 7]).ravel().tolist()
+    hexapod = _core.Hexapod(core_parameters(scenario).robot)
+    for side, placed in (("platform", hexapod.platform_joints), ("base", hexapod.base_joints)):
+        changes |= {f"robot.{side}_joints": placed, f"robot.{side}_radius": None, f"robot.{side}_angles": None}
+    scenario = scenario.updated({**changes, "camera.convention": "eye_in_hand"})
+    return scenario, ["target.points", "robot.platform_joints", "robot.base_joints"]
+
+
+@pytest.fixture(scope="module")
+def reader(paper: hs.Scenario, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A program that includes the header of every case, and prints the numbers of the one that it is asked for."""
+    folder = tmp_path_factory.mktemp("reader")
+    includes, calls = "", ""
+    for index, (law, points) in enumerate(CASES):
+        scenario, seen = exported(paper, law, points)
+        header = gains_header(scenario, 1 / 1700)
+        write_header(header, folder / f"gains{index}.hpp")
+        includes += f'#include "gains{index}.hpp"\n'
+        namespace = header.split("#define HEXSERVO_GAINS ")[1].split("\n")[0]
+        place = {name: f"*s.{name}" for name in seen if "joints" in name or "points" in name} | {
+            name: name for name in OWN[law]
+        }
+        shows = "".join(f'    show("{name}", {place.get(name, f"s.{name}")});\n' for name in MEMBERS[law] + seen)
+        calls += f"""  if (std::atoi(arguments[1]) == {index}) {{
+    const auto s = {namespace}::settings();
+    [[maybe_unused]] const auto& gains = s.gains<{namespace}::Law>();
+    show("period", {namespace}::period);
+{shows}  }}
+"""
+    program = f"{includes}{PROGRAM}int main(int, char** arguments) {{\n{calls}}}\n"
+    (folder / "main.cpp").write_text(program, encoding="utf-8")
     core = ROOT / "cpp"
     headers = ["-I", str(core / "include"), "-isystem", str(EIGEN)]
     warnings = ["-Wall", "-Wextra", "-Werror", "-Wno-psabi"]
     command = ["g++", "-std=c++20", *warnings, *headers, "main.cpp", str(core / "src" / "fuzzy.cpp"), "-o", "main"]
-    subprocess.run(command, cwd=tmp_path, check=True)
-    output = subprocess.run([tmp_path / "main"], check=True, capture_output=True, text=True).stdout
+    subprocess.run(command, cwd=folder, check=True)
+    return folder / "main"
+
+
+@pytest.mark.skipif(shutil.which("g++") is None or EIGEN is None, reason="needs g++ and Eigen, as building does")
+@pytest.mark.parametrize(("law", "points"), CASES)
+def test_cpp_reads_every_number_back_bit_for_bit(paper: hs.Scenario, reader: Path, law: str, points: bool) -> None:
+    scenario, seen = exported(paper, law, points)
+    index = str(CASES.index((law, points)))
+    output = subprocess.run([reader, index], check=True, capture_output=True, text=True).stdout
     read = {name: [float.fromhex(text) for text in texts] for name, *texts in map(str.split, output.splitlines())}
     settings = core_parameters(scenario)
     assert read.pop("period") == [1 / 1700]

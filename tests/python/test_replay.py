@@ -349,12 +349,10 @@ GRID = {
 @pytest.mark.parametrize(
     ("name", "changes"),
     [
-        ("real-machine", {"controller.law": "pbvs"}),
-        ("slow-camera", {"controller.law": "composite"}),
-        ("real-machine", GRID),
-        ("real-machine", {"target.weights": [1.0, 1.0, 1.0, 0.5]}),
+        ("real-machine", {"controller.law": "pbvs", "target.weights": [1.0, 1.0, 1.0, 0.5]}),
+        ("slow-camera", {"controller.law": "composite", **GRID}),
     ],
-    ids=["pbvs", "composite", "grid", "weights"],
+    ids=["pbvs and weights", "composite and a grid"],
 )
 def test_the_example_compiles_with_any_header(
     tmp_path: Path, library: Path, name: str, changes: dict[str, Any]
