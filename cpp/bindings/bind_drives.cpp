@@ -1,5 +1,6 @@
 #include "bindings.hpp"
 
+#include "hexservo/latency_estimator.hpp"
 #include "hexservo/motor_response.hpp"
 #include "hexservo/position_actuators.hpp"
 #include "hexservo/target_tracking.hpp"
@@ -64,6 +65,8 @@ double least_substeps(const Settings& settings) {
 void bind_drives(py::module_& m) {
   m.attr("MOTOR_STEPS") = kMotorSteps;
   m.attr("FEEDBACK_EASE") = kEase;
+  m.attr("LONGEST_FRAME_GAP") = kLongestFrameGap;
+  m.attr("MAX_ACTUATOR_DELAY") = kMaxActuatorDelay;
   m.def("drive_response", &drive_response, py::arg("commands"), py::arg("position"), py::arg("rate"), py::arg("period"),
         py::arg("bandwidth"), py::arg("damping"), py::arg("speed_limit"), py::arg("acceleration_limit"),
         "Coordinate of a drive that takes positions at each tick, (n,), before the tick's command (n,) is given; "

@@ -139,6 +139,8 @@ void bind_traits(py::module_& m) {
   py::dict traits;
   for (const LawTraits& law : kLawTraits) traits[text(law.name)] = py::cast(law);
   m.attr("LAW_TRAITS") = traits;
+  m.attr("LEAST_POINTS") = kLeastPoints;
+  m.attr("MOST_POINTS") = kMostPoints;
 }
 
 }  // namespace

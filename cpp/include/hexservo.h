@@ -22,7 +22,7 @@
  *   may be used by different threads at the same time, one handle by one thread at a time. What is const here may be
  *   shared by all.
  * - How many points a target has is asked (`hexservo_scenario_points`): do not count on four.
- * - Null handles are not allowed but for `destroy`.
+ * - Null is not allowed, but for `destroy` and where a parameter states it.
  */
 #ifndef HEXSERVO_H
 #define HEXSERVO_H
@@ -102,7 +102,8 @@ HEXSERVO_API int hexservo_scenario_key(const hexservo_scenario* scenario, size_t
 /** Number of points of the target. */
 HEXSERVO_API size_t hexservo_scenario_points(const hexservo_scenario* scenario);
 
-/** Sets a key that holds numbers: all of them, or one for all, or of a symmetric matrix the diagonal.
+/** Sets a key that holds numbers: all of them, where the key allows it one for all, or of a symmetric matrix the
+ * diagonal.
  * @param count 0: none, of a key that is optional
  * @return HEXSERVO_REFUSED for an unknown key or another count; bounds are checked by `hexservo_scenario_validate` */
 HEXSERVO_API hexservo_status hexservo_scenario_set_numbers(hexservo_scenario* scenario, const char* key,
@@ -115,7 +116,7 @@ HEXSERVO_API hexservo_status hexservo_scenario_set_number(hexservo_scenario* sce
 HEXSERVO_API hexservo_status hexservo_scenario_set_text(hexservo_scenario* scenario, const char* key, const char* text);
 /** Numbers of a key that holds some, row by row.
  * @param numbers room for `room` of them; null: only the count is asked for
- * @param count how many there are, which may be more than fit; 0: none */
+ * @param count how many there are, which may be more than fit; 0: none; null: not asked for */
 HEXSERVO_API hexservo_status hexservo_scenario_get_numbers(hexservo_scenario* scenario, const char* key,
                                                            double* numbers, size_t room, size_t* count);
 /** Text of any key, as `hexservo_scenario_set_text` takes it; numbers read back bit for bit.
@@ -232,14 +233,15 @@ HEXSERVO_API void hexservo_state_destroy(hexservo_state* state);
 HEXSERVO_API size_t hexservo_gains_size(const hexservo_scenario* scenario);
 /** `hexservo_gains_create` into memory of the caller: any that is at least so large, static for example.
  *
- * All of the gains lies there. They end with the memory, and are not destroyed.
- * @return HEXSERVO_REFUSED also where `size` is too small */
+ * All of the gains lies there. They end with the memory, and are not destroyed. The preparation itself takes memory from
+ * the heap, and gives it back.
+ * @return HEXSERVO_REFUSED also where `size` is too small or `memory` is null */
 HEXSERVO_API hexservo_status hexservo_gains_place(hexservo_scenario* scenario, double period, void* memory, size_t size,
                                                   hexservo_gains** gains);
 /** Bytes for `hexservo_state_place`; 0: no memory to find out. */
 HEXSERVO_API size_t hexservo_state_size(const hexservo_gains* gains);
 /** `hexservo_state_create` likewise; takes nothing from the heap. To begin again, place a state there again.
- * @return null where `size` is too small */
+ * @return null where `size` is too small or `memory` is null */
 HEXSERVO_API hexservo_state* hexservo_state_place(const hexservo_gains* gains, void* memory, size_t size);
 
 /** Memory for the gains of any scenario, for programs that take none while they run: `hexservo_gains_place(scenario,

@@ -46,13 +46,21 @@ void append(std::string& text, double number) {
   text.append(digits.data(), std::to_chars(digits.data(), digits.data() + digits.size(), number).ptr);
 }
 
+constexpr std::string_view kSpace = " \t\r\n";
+
+/// Without space at the ends.
+std::string_view trimmed(std::string_view text) {
+  text.remove_prefix(std::min(text.find_first_not_of(kSpace), text.size()));
+  return text.substr(0, text.find_last_not_of(kSpace) + 1);
+}
+
 /// Numbers with spaces between.
 std::vector<double> numbers_in(const std::string& key, std::string_view text) {
   std::vector<double> numbers;
   while (true) {
-    text.remove_prefix(std::min(text.find_first_not_of(" \t\r\n"), text.size()));
+    text = trimmed(text);
     if (text.empty()) return numbers;
-    const std::string word(text.substr(0, text.find_first_of(" \t\r\n")));
+    const std::string word(text.substr(0, text.find_first_of(kSpace)));
     text.remove_prefix(word.size());
     double number = 0.0;
 #ifdef __wasm__  // whose library reads no double from characters, and has no locale but C
@@ -62,7 +70,7 @@ std::vector<double> numbers_in(const std::string& key, std::string_view text) {
 #else
     const char* last = word.data() + word.size();
     const auto [end, error] = std::from_chars(word.data() + (word[0] == '+'), last, number);
-    const bool whole = end == last && error == std::errc{};
+    const bool whole = end == last && error == std::errc{} && !word.starts_with("+-");
 #endif
     if (!whole) refuse(key, "numbers with spaces between, or none", words('"', word, '"'));
     numbers.push_back(number);
@@ -122,7 +130,8 @@ void set_law(Settings& settings, std::string_view name) {
   if (law != settings.law()) settings.controller.gains = Settings::of(law).controller.gains;
 }
 
-void set_text(Settings& settings, std::string_view name, std::string_view text) {
+void set_text(Settings& settings, std::string_view name, std::string_view given) {
+  const std::string_view text = trimmed(given);
   if (name == kLawKey) return set_law(settings, text);
   const ScenarioKey& key = scenario_key(settings.law(), name);
   if (key.type == KeyType::choice) return set_choice(settings, key, text);
@@ -186,6 +195,9 @@ hexservo_status guarded(hexservo_scenario& scenario, F&& function) noexcept {
     return HEXSERVO_OK;
   } catch (const std::bad_alloc&) {
     scenario.message = "no memory";  // which fits without taking any
+    return HEXSERVO_NO_MEMORY;
+  } catch (const std::length_error&) {  // more numbers than any memory holds
+    scenario.message = "no memory";
     return HEXSERVO_NO_MEMORY;
   } catch (const std::exception& error) {
     try {
@@ -401,6 +413,7 @@ size_t hexservo_scenario_points(const hexservo_scenario* scenario) {
 hexservo_status hexservo_scenario_set_numbers(hexservo_scenario* scenario, const char* key, const double* numbers,
                                               size_t count) {
   return guarded(*scenario, [&] {
+    if (numbers == nullptr && count > 0) refuse(std::string(given(key)), words(count, " numbers"), "a null pointer");
     set_numbers(scenario->settings, scenario_key(scenario->settings.law(), given(key)), {numbers, count});
   });
 }
@@ -415,13 +428,13 @@ hexservo_status hexservo_scenario_set_text(hexservo_scenario* scenario, const ch
 
 hexservo_status hexservo_scenario_get_numbers(hexservo_scenario* scenario, const char* key, double* numbers,
                                               size_t room, size_t* count) {
-  *count = 0;
+  if (count != nullptr) *count = 0;
   return guarded(*scenario, [&] {
     const ScenarioKey& asked = scenario_key(scenario->settings.law(), given(key));
     if (asked.type == KeyType::seed || asked.type == KeyType::choice)
       refuse(asked.name, "a key that holds numbers (its text can be asked for)", "one that does not");
     const std::vector<double> found = numbers_or_none(scenario->settings, asked);
-    *count = found.size();
+    if (count != nullptr) *count = found.size();
     if (numbers != nullptr) std::copy_n(found.begin(), std::min(room, found.size()), numbers);
   });
 }
@@ -559,6 +572,7 @@ hexservo_status hexservo_gains_place(hexservo_scenario* scenario, double period,
                                      hexservo_gains** gains) {
   *gains = nullptr;
   return guarded(*scenario, [&] {
+    if (memory == nullptr) refuse("memory", "a place for the gains", "a null pointer");
     const size_t needed = hexservo_gains_size(scenario);
     if (size < needed) refuse("size", words(needed, " bytes for the gains of this scenario"), words(size));
     *gains = gains_of(scenario->settings, period, memory, size);

@@ -444,13 +444,19 @@ long long step_count(const SimulationSettings& simulation) {
   return static_cast<long long>(steps);
 }
 
-SafeGains<double> safe_gains(const SafeSettings& settings, const RigidBody<double>& body, const Matrix3<double>& R_BE,
-                             double delay) {
+SafeGains<double> safe_gains(const SafeSettings& settings, double delay) {
   detail::require_bounds("controller.safe", settings);
   const double w = std::min(kFastestBrake, kBrakePhase / delay);
-  Vector6<double> inertia;  // the brake acts in B, as the twist does
-  inertia << Vector3<double>::Constant(body.mass), inertia_in_base(body, R_BE).diagonal();
-  return {settings.damping.value_or(2.0 * w * inertia), settings.hold.value_or(w * w * inertia)};
+  SafeGains<double> gains;
+  if (settings.damping)
+    gains.damping = *settings.damping;
+  else
+    gains.damping_rate = 2.0 * w;
+  if (settings.hold)
+    gains.hold = *settings.hold;
+  else
+    gains.hold_rate = w * w;
+  return gains;
 }
 
 namespace {
@@ -539,7 +545,7 @@ void prepare_devices(const Settings& settings, SceneParameters<double, N>& p) {
   const double delay = p.step * static_cast<double>((p.pose_source == PoseSource::encoders ? p.encoders.period : 1) +
                                                     p.actuators.delay) +
                        1.0 / (2.0 * kPi * p.actuators.bandwidth);
-  p.safe = safe_gains(settings.controller.safe, p.body, rotation_matrix(home_pose(p.hexapod).quaternion), delay);
+  p.safe = safe_gains(settings.controller.safe, delay);
   detail::prepare_motions(settings, p);
   p.on_limit = settings.robot.on_limit;
   p.seed = seed_halves(settings.seed);

@@ -148,14 +148,14 @@ function at(next) {
 
 // --- words and numbers
 
-/** How a run of a state went: good, bad or warn, and a sentence; "but" begins what it does beyond the limits of the legs. */
+/** How a run of a state went: good, bad or warn, and a sentence, at whose end is what it does beyond the limits of the legs. */
 function ending(of, { outcome, metrics: values, time, detail, ...rest }) {
   if (outcome !== "completed") return ["bad", `Ends early, ${outcome.replaceAll("_", " ")}${detail ? `: ${detail}` : ""}`];
   const passed = passedLimits(of, { metrics: values, ...rest });
-  const but = passed.length ? `, but ${passed.join(", ")}` : "";
+  const beyond = passed.join(", ");
   const band = withUnit(valueOf(of, "metrics.band"), "px");
-  if (Number.isNaN(values.settling_time)) return ["warn", `Does not settle: ${withUnit(values.final_error, "px")} from the goal after ${withUnit(time, "s")}${but}`];
-  return [but ? "warn" : "good", `Settles within ${band} at ${withUnit(values.settling_time, "s")}${but}`];
+  if (Number.isNaN(values.settling_time)) return ["warn", `Does not settle: ${withUnit(values.final_error, "px")} from the goal after ${withUnit(time, "s")}${beyond && `, and ${beyond}`}`];
+  return [beyond ? "warn" : "good", `Settles within ${band} at ${withUnit(values.settling_time, "s")}${beyond && `, but ${beyond}`}`];
 }
 
 function verdict() {

@@ -15,6 +15,8 @@ ROBOT_PRESETS: tuple[str, ...]
 TERM_CENTRES: tuple[float, ...]
 MOTOR_STEPS: int
 FEEDBACK_EASE: float
+LONGEST_FRAME_GAP: float
+MAX_ACTUATOR_DELAY: int
 LINEAR_RULE_TABLE: tuple[tuple[float, ...], ...]
 
 class BatchLog(enum.Enum):
@@ -277,6 +279,8 @@ class LawTraits(metaclass=_PybindType):
     def theorem(self) -> bool: ...
 
 LAW_TRAITS: dict[str, LawTraits]
+LEAST_POINTS: int
+MOST_POINTS: int
 
 class Settings(metaclass=_PybindType):
     """A scenario as numbers, by the dotted keys of its file."""

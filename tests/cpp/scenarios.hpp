@@ -37,4 +37,13 @@ void validate_gains(const GainsOf<Law>& gains) {
   loop_parameters<Law>(settings);
 }
 
+/// What the derived brake takes from the weight at the first tick of a stretch, K_s chi-dot [N; N m].
+/// @param gains of a controller
+/// @param input its input at that tick
+template <class Gains, class Input>
+Vector6<double> brake_of(const Gains& gains, const Input& input) {
+  const Vector6<double> rate = gains.safe.damping_rate * input.twist;
+  return inertial_wrench(gains.body, rotation_matrix(input.pose.quaternion), rate);
+}
+
 }  // namespace hexservo::test

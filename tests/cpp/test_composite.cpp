@@ -502,7 +502,7 @@ TEST_CASE("NaN in any entry gives the safe output of `composite`, and changes no
       const FuzzyWeights<double> before = after.law;
       const ControllerOutput out = step(gains, after, bad);
       REQUIRE(out.invalid_input());
-      const Vector6<double> brake = (image ? 1.0 : 0.0) * gains.safe.damping.cwiseProduct(good.twist);
+      const Vector6<double> brake = (image ? 1.0 : 0.0) * brake_of(gains, good);
       REQUIRE(distance(out.wrench, gravity_wrench(RigidBody<double>{}) - brake) <= 1e-15);
       REQUIRE(out.fuzzy_output.isZero(0.0));
       REQUIRE(is_finite(out.leg_forces));

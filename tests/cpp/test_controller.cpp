@@ -143,7 +143,7 @@ void require_safe(const ControllerGains<Law>& gains, const ControllerState<Law>&
   REQUIRE(same_bits(out.fuzzy_output, Vector6<double>::Zero()));
   const Vector6<double> weight = gravity_wrench(RigidBody<double>{});
   if (joints) {
-    REQUIRE(distance(out.wrench, weight - gains.safe.damping.cwiseProduct(input.twist)) <= 1e-15);
+    REQUIRE(distance(out.wrench, weight - brake_of(gains, input)) <= 1e-15);
     REQUIRE(same_bits(after.stop_pose.position, input.pose.position));
   } else {
     REQUIRE(same_bits(out.wrench, weight));

@@ -4,6 +4,8 @@
 #include "hexservo/settings.hpp"
 
 #include <algorithm>
+#include <cmath>
+#include <numbers>
 #include <vector>
 
 using namespace hexservo;
@@ -272,17 +274,92 @@ TEST_CASE("an image that is lost in motion: the brake stops the platform, and G 
 TEST_CASE("gains of the brake: as given, and derived from the estimated inertia and what is late") {
   auto settings = corner<Hybrid>(0.0, 0.3);
   const auto gains = [&] { return loop_parameters<Hybrid>(settings).safe; };
-  // 100 rad/s: m w^2 = 600 N/m
-  CHECK(gains().hold(2) == doctest::Approx(600.0));
-  CHECK(gains().damping(2) == doctest::Approx(12.0));
-  CHECK(gains().hold(5) == doctest::Approx(3.0));
+  CHECK(gains().hold_rate == doctest::Approx(1e4));  // of 100 rad/s
+  CHECK(gains().damping_rate == doctest::Approx(200.0));
+  CHECK(gains().hold.isZero(0.0));
+  CHECK(gains().damping.isZero(0.0));
   settings.actuators.delay = 4 * kMs;  // 5 ms with the tick: 40 rad/s
-  CHECK(gains().hold(0) == doctest::Approx(0.06 * 1600.0));
+  CHECK(gains().hold_rate == doctest::Approx(1600.0));
   settings.controller.safe.hold = Vector6<double>::Constant(7.0);
   CHECK(gains().hold(3) == 7.0);
-  CHECK(gains().damping(0) == doctest::Approx(2.0 * 0.06 * 40.0));
+  CHECK(gains().hold_rate == 0.0);
+  CHECK(gains().damping_rate == doctest::Approx(80.0));
   settings.controller.safe.damping = Vector6<double>::Constant(-1.0);
   CHECK(is_about(refusal([&] { loop_parameters<Hybrid>(settings); }), "controller.safe.damping"));
+}
+
+TEST_CASE("the brake is critically damped wherever the centre of mass is") {
+  // Of a platform whose brake had only the diagonal of the inertia, 2 w T_c would be 2.7 times too large for one
+  // motion.
+  auto settings = corner<Composite>(0.0, 0.0);
+  settings.uncertainty = {};
+  settings.simulation.step = settings.camera.period = 2 * kMs;
+  const Vector3<double> centre(0.02, -0.03, 0.08);
+  settings.robot.centre_of_mass = centre;
+  settings.robot.inertia += displaced_inertia(settings.robot.mass, centre);
+  settings.robot.gravity.setZero();
+  settings.camera.dropout = 1.0;  // no image ever
+  settings.simulation.start.twist = linear_angular<double>(2e-5, -1e-4);
+  const LoopParameters<double, Composite> p = loop_parameters<Composite>(settings);
+  SampledLoop<double, Composite> loop(p);
+  const double w = 0.5 * p.safe.damping_rate;
+  CHECK(w == doctest::Approx(100.0));
+  // x = v0 t e^(-wt) of each component; the wrench that is held for T_c is late by half of it, a share of w T_c.
+  const double peak = settings.simulation.start.twist.norm() / w * std::exp(-1.0);
+  double farthest = 0.0;
+  while (loop.time() < 0.3) {
+    const auto& sample = loop.record().sample();
+    const double t = loop.time();
+    const Vector6<double> away =
+        pose_difference(Pose<double>{sample.position, sample.quaternion}, home_pose(p.hexapod));
+    const Vector6<double> expected = t * std::exp(-w * t) * settings.simulation.start.twist;
+    farthest = std::max(farthest, away.norm());
+    REQUIRE((away - expected).norm() <= 0.25 * peak);
+    loop.advance();
+    REQUIRE(loop.record().running());
+  }
+  MESSAGE("farthest " << farthest / peak << " of a critically damped response");
+  CHECK(farthest == doctest::Approx(peak).epsilon(0.25));
+  CHECK(loop.record().sample().twist.norm() <= 1e-9);
+}
+
+TEST_CASE("coupled implicit switching stops every platform; axis by axis it stops those of a diagonal inertia") {
+  const auto late_speed = [](const Settings& s) {
+    const LoopParameters<double, Hybrid> p = loop_parameters<Hybrid>(s);
+    SampledLoop<double, Hybrid> loop(p);
+    double largest = 0.0;
+    for (long long i = 0; i < step_count(s.simulation); ++i) {
+      loop.advance();
+      REQUIRE(loop.record().running());
+      if (i >= step_count(s.simulation) - 100)
+        largest = std::max(largest, loop.record().sample().twist.cwiseAbs().maxCoeff());
+    }
+    return largest;
+  };
+  const auto turned = [](const Vector3<double>& principal, const Vector3<double>& rotation) {
+    const Matrix3<double> R = Eigen::AngleAxisd(rotation.norm(), rotation.normalized()).toRotationMatrix();
+    return Matrix3<double>(R * principal.asDiagonal() * R.transpose());
+  };
+  auto settings = corner<Hybrid>(0.0, 0.0);
+  settings.uncertainty = {};
+  settings.robot.gravity.setZero();
+  settings.simulation.duration = 1.0;
+  auto& gains = settings.gains<Hybrid>();
+  settings.target.desired_features = settings.target.initial_features;
+  gains.fuzzy.enabled = false;
+  gains.kv = linear_angular<double>(0.1, 1e-3);
+  settings.simulation.start.twist << 1e-3, -2e-3, 1e-3, 5e-3, -8e-3, 6e-3;
+  auto tube = settings, skew = settings, heavy = settings;
+  tube.robot.inertia = turned({0.5e-4, 2e-4, 2e-4}, {0.0, std::numbers::pi / 4.0, 0.0});
+  skew.robot.inertia = turned({0.04e-4, 2e-4, 2e-4}, {0.6, 0.5, 0.4});
+  heavy.robot.centre_of_mass = {0.02, 0.0, 0.06};
+  heavy.robot.inertia += displaced_inertia(heavy.robot.mass, heavy.robot.centre_of_mass);
+  CHECK(late_speed(settings) <= 1e-12);
+  for (Settings of : {settings, tube, skew, heavy}) {
+    of.controller.switching.kind = SwitchingKind::implicit_coupled;
+    CHECK(late_speed(of) <= 1e-12);
+  }
+  CHECK(late_speed(tube) >= 1e-3);  // what `hexservo check` warns of
 }
 
 TEST_CASE("lanes run as their single runs do, each with its own seed and camera") {

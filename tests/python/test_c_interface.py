@@ -159,6 +159,7 @@ def test_misuse_is_refused_with_a_message_and_changes_nothing(library: ctypes.CD
         ("simulation.substeps", "1.5", "simulation.substeps: expected a whole number"),
         ("actuators.saturation", "nan", "actuators.saturation: expected 1 or 0, got nan"),
         ("actuators.saturation", "7", "actuators.saturation: expected 1 or 0, got 7"),
+        ("robot.mass", "+-1", 'robot.mass: expected numbers with spaces between, or none, got "+-1"'),
     ):
         before = scenario.get(key)
         assert scenario.set(key, text) == REFUSED
@@ -174,6 +175,30 @@ def test_misuse_is_refused_with_a_message_and_changes_nothing(library: ctypes.CD
     run = ctypes.c_void_p(1)
     assert library.hexservo_run_create(scenario.handle, ctypes.byref(run)) == REFUSED
     assert run.value is None
+
+
+def test_space_around_a_text_does_not_count(scenario: Handle) -> None:
+    for key, text, found in (
+        ("simulation.mode", " sampled\r\n", "sampled"),
+        ("camera.timeout", "none ", "none"),
+        ("seed", "\t7 ", "7"),
+        ("camera.noise", " +0.25\n", "0.25"),
+    ):
+        assert scenario.set(key, text) == OK, scenario.message()
+        assert scenario.get(key) == found
+
+
+def test_null_pointers_are_refused_with_a_message(library: ctypes.CDLL, scenario: Handle) -> None:
+    handle, gravity, nothing = scenario.handle, b"robot.gravity", ctypes.c_void_p()
+    assert library.hexservo_scenario_set_numbers(handle, gravity, nothing, ctypes.c_size_t(3)) == REFUSED
+    assert scenario.message() == "robot.gravity: expected 3 numbers, got a null pointer"
+    assert library.hexservo_scenario_get_numbers(handle, gravity, nothing, ctypes.c_size_t(0), nothing) == OK
+    gains = ctypes.c_void_p(1)
+    size = ctypes.c_size_t(1 << 20)
+    placed = library.hexservo_gains_place(handle, ctypes.c_double(0.0), nothing, size, ctypes.byref(gains))
+    assert placed == REFUSED
+    assert gains.value is None
+    assert scenario.message() == "memory: expected a place for the gains, got a null pointer"
 
 
 def test_a_run_may_pause_anywhere(library: ctypes.CDLL, scenario: Handle) -> None:

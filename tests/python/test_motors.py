@@ -103,9 +103,18 @@ CASES: dict[str, tuple[dict[str, float], dict[str, Any]]] = {
 }
 
 
+SLOW_IN_MUJOCO = {("rotary", "stiff"), ("rotary", "heavy rotors")}  # `friction` and `at the limit` have both
+
+
 @pytest.mark.usefixtures("baseline")
-@pytest.mark.parametrize("machine", ["prismatic", "rotary"])
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    ("machine", "case"),
+    [
+        pytest.param(machine, case, marks=[pytest.mark.slow] if (machine, case) in SLOW_IN_MUJOCO else [])
+        for machine in ("prismatic", "rotary")
+        for case in CASES
+    ],
+)
 def test_motors_and_platform_move_as_mujoco_s(paper: hs.Scenario, case: str, machine: str) -> None:
     """One second of a controlled run's commands on the exported model: within 1e-4 rad of cranks, and as much of
     prismatic legs; where a limit is to act it does, and where friction is to hold legs it does.

@@ -457,30 +457,44 @@ def test_targets_move_as_they_are_told(sampled: hs.Scenario, tmp_path: Path) -> 
 # ---- Roads ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("roughness", "level"), [("A", 16e-6), ("C", 256e-6), ("H", 16e-6 * 4**7)])
-def test_a_road_has_the_spectrum_of_its_class(sampled: hs.Scenario, roughness: str, level: float) -> None:
-    """A rigid vehicle as short as a wheel follows its track: G(f) = G_d(f/v)/v, G_d(n) = G_d(0.1) (n/0.1)^-2.
+ROAD: dict[str, Any] = {"speed": 12.0, "wheelbase": 1e-3, "track": 1e-3, "suspension": None}
+
+
+def heights(sampled: hs.Scenario, roughness: str, seed: int, time: Array) -> Array:
+    """Of a rigid vehicle as short as a wheel, which follows its track [m]."""
+    road = {"kind": "road", "road": {**ROAD, "roughness": roughness}}
+    scenario = sampled.updated({"base_motion": road, "seed": seed})
+    return -_core.Probe(core_parameters(scenario)).base_motion(time)[0][:, 2]
+
+
+def test_a_road_has_the_spectrum_of_its_class(sampled: hs.Scenario) -> None:
+    """G(f) = G_d(f/v)/v, G_d(n) = G_d(0.1) (n/0.1)^-2, of class C.
 
     The mean over 160 seeds of the power in a band of spatial frequencies against its integral. A band holds about 4.6
     waves (32 over three decades) with the power of the cell each, of which one third is cut at the band's ends: the
     relative standard deviation of its mean over seeds is at most 0.6/sqrt(160), 5 %; five of them are allowed.
     """
-    speed, seeds, bands = 12.0, 160, np.array([0.02, 0.05, 0.1, 0.3, 1.0, 3.0])
-    road = {"roughness": roughness, "speed": speed, "wheelbase": 1e-3, "track": 1e-3, "suspension": None}
+    speed, seeds, bands, level = ROAD["speed"], 160, np.array([0.02, 0.05, 0.1, 0.3, 1.0, 3.0]), 256e-6
     count, step = 1 << 14, 1.0 / 240.0  # [s]; 68 s, 819 m
     time = np.linspace(0.0, step * (count - 1), count)
     window = np.hanning(count)
     n = np.fft.rfftfreq(count, step) / speed  # [cycles/m]
     power = np.zeros(len(n))
     for seed in range(seeds):
-        scenario = sampled.updated({"base_motion": {"kind": "road", "road": road}, "seed": seed})
-        height = -_core.Probe(core_parameters(scenario)).base_motion(time)[0][:, 2]
+        height = heights(sampled, "C", seed, time)
         power += 2 * step * speed / np.square(window).sum() * np.abs(np.fft.rfft(window * height)) ** 2 / seeds
     for low, high in itertools.pairwise(bands):
         inside = (n >= low) & (n < high)
         found = power[inside].sum() * (n[1] - n[0])
         expected = level * 0.01 * (1 / low - 1 / high)
         assert found == pytest.approx(expected, rel=0.25), (low, high)
+
+
+@pytest.mark.parametrize(("roughness", "level"), [("A", 16e-6), ("B", 64e-6), ("H", 16e-6 * 4**7)])
+def test_classes_of_roads_differ_by_their_level(sampled: hs.Scenario, roughness: str, level: float) -> None:
+    time = np.linspace(0.0, 5.0, 200)
+    of_c = heights(sampled, "C", 3, time)
+    np.testing.assert_allclose(heights(sampled, roughness, 3, time), np.sqrt(level / 256e-6) * of_c, rtol=1e-12)
 
 
 def test_a_vehicle_follows_the_road_through_its_springs(sampled: hs.Scenario) -> None:

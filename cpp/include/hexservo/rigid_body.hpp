@@ -280,6 +280,17 @@ Matrix6<S> mass_matrix(const RigidBody<S>& body, const Matrix3<S>& R_BE) {
   return D;
 }
 
+/// D a of (1) [N; N m].
+/// @param acceleration a, in B [m/s^2; rad/s^2]
+template <class S>
+Vector6<S> inertial_wrench(const RigidBody<S>& body, const Matrix3<S>& R_BE, const Vector6<S>& acceleration) {
+  const Matrix6<S> D = mass_matrix(body, R_BE);
+  Vector6<S> wrench = Vector6<S>::Zero();
+  for (int j = 0; j < 6; ++j)
+    for (int i = 0; i < 6; ++i) wrench(i) += D(i, j) * acceleration(j);
+  return wrench;
+}
+
 /// C of (1), 6x6: maps twist to the gyroscopic wrench, [omega]x I' in the lower right block. Off centre it has
 /// -m [omega]x [c]x, m [omega]x [c]x, and m [c x v]x beside I', so that Property 1 holds for every vector.
 template <class S>

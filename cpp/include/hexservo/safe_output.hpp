@@ -4,7 +4,9 @@
 ///
 ///     tau = G - K_s chi-dot - K_h (chi (-) chi_stop)
 ///
-/// chi_stop is the pose of the first tick of the stretch. Where pose or twist are not known either, tau = G, with the
+/// K_s and K_h are diagonal as given, and multiples of D-bar where they are derived: with its diagonal alone the brake
+/// of a platform whose centre of mass is far off E's origin is unstable. chi_stop is the pose of the first tick of the
+/// stretch. Where pose or twist are not known either, tau = G, with the
 /// leg forces of the last pose that was.
 #pragma once
 
@@ -13,16 +15,21 @@
 
 namespace hexservo {
 
-/// Diagonals of the brake; zeros leave G alone.
+/// Gains of the brake: K_s = diag(damping) + damping_rate D-bar, K_h = diag(hold) + hold_rate D-bar, D-bar the
+/// estimated inertia at the pose. Zeros leave G alone.
 template <class S>
 struct SafeGains {
-  Vector6<S> damping = Vector6<S>::Zero();  ///< diagonal of K_s [N s/m; N m s/rad]
-  Vector6<S> hold = Vector6<S>::Zero();     ///< diagonal of K_h [N/m; N m/rad]
+  Vector6<S> damping = Vector6<S>::Zero();  ///< [N s/m; N m s/rad]
+  Vector6<S> hold = Vector6<S>::Zero();     ///< [N/m; N m/rad]
+  S damping_rate{0.0};                      ///< [1/s]
+  S hold_rate{0.0};                         ///< [1/s^2]
 
   template <class V, class... Self>
   static void visit(V&& v, Self&... self) {
     v(Field{"damping", "N s/m; N m s/rad"}, self.damping...);
     v(Field{"hold", "N/m; N m/rad"}, self.hold...);
+    v(Field{"damping_rate", "1/s"}, self.damping_rate...);
+    v(Field{"hold_rate", "1/s^2"}, self.hold_rate...);
   }
 };
 
@@ -90,8 +97,10 @@ template <class S, int N>
   state.stop_pose = select_pose(begins, seen.pose, state.stop_pose);
   state.braking = (!out.acts) & (known | state.braking);
   const Vector6<S> weight = gravity_wrench(gains.body, seen.R_BE);
-  const Vector6<S> brake = weight - gains.safe.damping.cwiseProduct(seen.twist) +
-                           gains.safe.hold.cwiseProduct(pose_difference(state.stop_pose, seen.pose));
+  const Vector6<S> away = pose_difference(state.stop_pose, seen.pose);
+  const Vector6<S> wanted = gains.safe.hold_rate * away - gains.safe.damping_rate * seen.twist;  // chi-ddot
+  const Vector6<S> brake = weight + gains.safe.hold.cwiseProduct(away) - gains.safe.damping.cwiseProduct(seen.twist) +
+                           inertial_wrench(gains.body, seen.R_BE, wanted);
   const Vector6<S> brake_forces = solver.leg_forces(brake);
   const Mask<S> brakes = known & (!out.acts) & is_finite(S(brake_forces.sum()));
 

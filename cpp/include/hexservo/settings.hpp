@@ -293,13 +293,11 @@ long long step_count(const SimulationSettings& simulation);
 ///
 ///     K_h = w^2 D,  K_s = 2 w D,  w = min(100 rad/s, 0.2/delay)
 ///
-/// with the diagonal D of the estimated inertia at home, in B, and as delay the time between two readings of the joints
-/// plus what the actuators are late.
-/// @param R_BE attitude of home
+/// with the estimated inertia D, 6x6, and as delay the time between two readings of the joints plus what the actuators
+/// are late.
 /// @param delay [s]
 /// @throws std::invalid_argument for a gain that is negative or not finite
-SafeGains<double> safe_gains(const SafeSettings& settings, const RigidBody<double>& body, const Matrix3<double>& R_BE,
-                             double delay);
+SafeGains<double> safe_gains(const SafeSettings& settings, double delay);
 
 /// Mass properties as the controller assumes them: of the platform, with its payload if that is known.
 RigidBody<double> estimated_body(const RobotParameters& robot);

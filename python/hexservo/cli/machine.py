@@ -17,7 +17,7 @@ from hexservo.cli.parts import require_hold, shows_middle
 from hexservo.cli.terminal import INTERRUPTED, complain, errors_as_messages, write
 from hexservo.scenario.blocks import Metrics
 from hexservo.scenario.laws import GENERAL_LAW
-from hexservo.scenario.rules import Name
+from hexservo.scenario.rules import LEAST_POINTS, MOST_POINTS, Name
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -32,7 +32,6 @@ _TICKS = 150  # servo periods in one of the bandwidth, at least: more than `hexs
 _PERIODS = 10  # of the bandwidth in a run, at least
 _ROOM = 2  # times the longest of the metrics' times and the frame period that a run lasts, at least
 _ROUNDING = 1e-9  # relative, by which a number may be above the whole number that it stands for
-_MOST_POINTS = 16
 _TURN = 360.0  # [deg], magnitude of an angle
 _APART = (0.001, 119.999)  # [deg], of two joints in a pair: at 120 they would meet those of the next ones
 _LENGTH = 0.1  # [mm], at least
@@ -439,12 +438,13 @@ def _whole(values: list[float]) -> bool:
 
 
 def _grid(values: list[float]) -> str | None:
-    good = _whole(values) and min(values) >= 2 and values[0] * values[1] <= _MOST_POINTS
+    good = _whole(values) and min(values) >= 2 and values[0] * values[1] <= MOST_POINTS
     return None if good else "expected two whole numbers of at least 2, whose product is at most 16"
 
 
 def _count(value: float) -> str | None:
-    return None if _whole([value]) and 3 <= value <= _MOST_POINTS else "expected a whole number of 3 to 16"
+    fits = _whole([value]) and LEAST_POINTS <= value <= MOST_POINTS
+    return None if fits else f"expected a whole number of {LEAST_POINTS} to {MOST_POINTS}"
 
 
 def _explain(dialogue: Dialogue, scenario: hs.Scenario) -> None:

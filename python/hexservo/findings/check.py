@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hexservo import _core
 from hexservo.findings.analysis.linear_law import NoRestError, NotFiniteError, linear_law, linear_plant
 from hexservo.findings.analysis.loop_of_scenario import NotApplicableError, quiet
 from hexservo.findings.analysis.reach import reach_of_start_and_goal
@@ -34,7 +35,6 @@ _FEWEST = 3  # points that a law can regulate
 _OFF_CENTRE = 0.15  # of the image, most that the principal point of a usual lens is off its centre
 # [m/s^2], of a base's recording: a vehicle that is at rest before and after has a mean of zero, and gravity is 9.8
 _MEAN_ACCELERATION = 2.0
-_LONGEST_FRAME_GAP = 1.0  # [s], `kLongestFrameGap` of latency_estimator.hpp
 _TICKS = 10  # servo periods per shortest time constant of the loop for which the hold has little effect
 
 
@@ -219,10 +219,10 @@ def _of_unknown_latency(scenario: Scenario) -> Iterator[str]:
     if scenario.camera.latency_known or scenario.controller.traits.output != "pose":
         return
     period = frame_period(scenario)
-    if period > _LONGEST_FRAME_GAP:
+    if period > _core.LONGEST_FRAME_GAP:
         yield (
             f"camera.latency_known: false with a frame every {quantity(period, 's')}: the latency is never found, "
-            f"since frames more than {quantity(_LONGEST_FRAME_GAP, 's')} apart are not compared"
+            f"since frames more than {quantity(_core.LONGEST_FRAME_GAP, 's')} apart are not compared"
         )
 
 

@@ -58,9 +58,26 @@ def of_gains(scene: Scene, fastest: float | None) -> Iterator[str]:
         yield from _of_times(scenario, f"controller.{law}.bandwidth: {number(bandwidth)} Hz", bandwidth)
     elif fastest is not None:
         yield from _too_slow(scenario, f"controller.{law}: the gains' bandwidth of {{}} Hz", fastest / (2.0 * math.pi))
+    yield from _of_switching(scene)
     if scenario.controller.traits.output == "pose":
         yield from _of_feedback(scenario, law)
         yield from _of_noise(scenario, f"controller.{law}")
+
+
+def _of_switching(scene: Scene) -> Iterator[str]:
+    """Axis by axis, `implicit` stops D_jj v_j/T_c; the other entries of D leave v - D^-1 diag(D) v after a period."""
+    controller = scene.scenario.controller
+    axis_by_axis = controller.switching.kind == "implicit" and controller.traits.switching
+    if not axis_by_axis or not np.any(scene.settings[f"controller.{controller.law}.kv"]):
+        return
+    inertia = _core.Probe(scene.settings).inertia(scene.home.rows.quaternion)[0]
+    factor = float(np.abs(np.linalg.eigvals(np.eye(6) - np.linalg.solve(inertia, np.diag(np.diag(inertia))))).max())
+    if factor >= 1.0:
+        yield (
+            "controller.switching.kind: implicit stops axis by axis, but the inertia couples the axes so much that a "
+            f"twist changes by {number(factor)} times itself from one servo period to the next: the platform chatters "
+            "by kv; use implicit_coupled"
+        )
 
 
 def _of_feedback(scenario: Scenario, law: str) -> Iterator[str]:

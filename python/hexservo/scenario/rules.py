@@ -20,7 +20,7 @@ __all__ = ["Matrix", "Vector"]
 
 Vector: TypeAlias = tuple[float, ...]
 Matrix: TypeAlias = tuple[Vector, ...]
-LEAST_POINTS, MOST_POINTS = 3, 16  # of a target
+LEAST_POINTS, MOST_POINTS = _core.LEAST_POINTS, _core.MOST_POINTS  # of a target
 _POINTS = f"{LEAST_POINTS} to {MOST_POINTS}"
 TERMS = dict(zip(("NB", "NM", "NS", "ZE", "PS", "PM", "PB"), _core.TERM_CENTRES, strict=True))
 

@@ -35,13 +35,13 @@ run("${CMAKE_COMMAND}" -S "${work}/examples" -B "${work}/build" -G "${GENERATOR}
 run("${CMAKE_COMMAND}" --build "${work}/build")
 run("${work}/build/servo" 1.0)
 
-# A program in C99 through the C interface; it needs no C++ compiler.
+# A program in C99 through the C interface; it needs neither a C++ compiler nor Eigen.
 file(COPY "${SOURCE}/tests/python/c_client.c" DESTINATION "${work}/c")
 file(WRITE "${work}/c/CMakeLists.txt"
-     "cmake_minimum_required(VERSION 3.22)\nproject(c_client LANGUAGES C)\nfind_package(hexservo REQUIRED)\n"
+     "cmake_minimum_required(VERSION 3.22)\nproject(c_client LANGUAGES C)\nfind_package(hexservo REQUIRED COMPONENTS c)\n"
      "add_executable(c_client c_client.c)\ntarget_link_libraries(c_client PRIVATE hexservo::c)\n")
 run("${CMAKE_COMMAND}" -S "${work}/c" -B "${work}/c/build" -G "${GENERATOR}" "-DCMAKE_BUILD_TYPE=${BUILD_TYPE}"
-    "-DEigen3_DIR=${EIGEN3_DIR}" "-DCMAKE_PREFIX_PATH=${work}/prefix"
+    -DCMAKE_DISABLE_FIND_PACKAGE_Eigen3=ON "-DCMAKE_PREFIX_PATH=${work}/prefix"
     "-DCMAKE_C_FLAGS=-std=c99 -pedantic -Wall -Wextra -Werror"
     "-DCMAKE_C_FLAGS_${BUILD_TYPE_UPPER}=${CXX_FLAGS_BUILD_TYPE}")
 run("${CMAKE_COMMAND}" --build "${work}/c/build")
@@ -71,5 +71,13 @@ if(PROCESSOR MATCHES "^(x86_64|AMD64|amd64)$" AND NOT CXX_FLAGS MATCHES "-m(arch
                   OUTPUT_VARIABLE output ERROR_VARIABLE output)
   if(code EQUAL 0 OR NOT output MATCHES "library_was_built_with_other_instruction_set_flags")
     message(FATAL_ERROR "expected a link error that tells of other flags, got ${code}:\n${output}")
+  endif()
+  # Inline functions of the headers are shared with the library: nothing may remove their checks for NaN.
+  run("${CMAKE_COMMAND}" -S "${work}/other_flags" -B "${work}/other_flags/fast" -G "${GENERATOR}" ${shared}
+      "-DCMAKE_CXX_FLAGS=${CXX_FLAGS} -ffast-math -Wfatal-errors")
+  execute_process(COMMAND "${CMAKE_COMMAND}" --build "${work}/other_flags/fast" RESULT_VARIABLE code
+                  OUTPUT_VARIABLE output ERROR_VARIABLE output)
+  if(code EQUAL 0 OR NOT output MATCHES "compile without -ffast-math")
+    message(FATAL_ERROR "expected -ffast-math to be refused, got ${code}:\n${output}")
   endif()
 endif()

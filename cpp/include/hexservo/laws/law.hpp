@@ -3,6 +3,7 @@
 #pragma once
 
 #include "hexservo/camera.hpp"
+#include "hexservo/cholesky.hpp"
 #include "hexservo/elementary.hpp"
 #include "hexservo/rigid_body.hpp"
 #include "hexservo/target_model.hpp"
@@ -19,7 +20,7 @@ enum class SwitchingKind {
   tanh,             ///< tanh(x/width)
   saturation,       ///< x/width limited to [-1, 1], a boundary layer
   implicit,         ///< set-valued sgn solved over the servo period, axis by axis (Acary and Brogliato 2010)
-  implicit_coupled  ///< the same for all axes together
+  implicit_coupled  ///< the same for all axes together, with the complete inertia
 };
 
 /// Whether a switching function needs a servo period.
@@ -80,32 +81,48 @@ struct LawInput {
   const Pose<S>& pose;                ///< in B
 };
 
-/// Moments m within +-k that bring as many components of omega to rest in a period as they can, and oppose the others:
-/// m_j in k_j sgn(omega+_j) with omega+ = omega + T_c I'^-1 (F - m), by projected Gauss-Seidel.
-/// @param I_B I', the inertia in B [kg m^2]
-/// @param omega [rad/s], in B
-/// @param k bounds [N m]
-/// @param F the rest of the moment [N m]
+/// Wrenches w within +-k that bring as many components of a twist to rest in a period as they can, and oppose the
+/// others: w_j in k_j sgn(v+_j) with v+ = v + T_c D^-1 (F - w).
+///
+/// D v/T_c + F brings all to rest. Where it is beyond the bounds, projected Gauss-Seidel from the nearest wrench within
+/// them lowers the kinetic energy v+^T D v+/2 from sweep to sweep.
+/// @param D inertia in B [kg; kg m; kg m^2]
+/// @param twist v [m/s; rad/s], in B
+/// @param k bounds [N; N m]
+/// @param F the rest of the wrench [N; N m]
 template <class S>
-Vector3<S> coupled_moment(const Matrix3<S>& I_B, const S& period, const Vector3<S>& omega, const Vector3<S>& k,
-                          const Vector3<S>& F) {
-  constexpr int kSweeps = 4;  // two hundred change nothing in an image by more than 3e-4 px
-  Matrix3<S> A;               // T_c I'^-1
-  for (int j = 0; j < 3; ++j) {
-    Vector3<S> unit = Vector3<S>::Zero();
+Vector6<S> coupled_friction(const Matrix6<S>& D, const S& period, const Vector6<S>& twist, const Vector6<S>& k,
+                            const Vector6<S>& F) {
+  constexpr int kSweeps =
+      30;  // two suffice for machines of public sources; for inertias of 1:50 thirty leave some for the next period
+  constexpr double kResidual = 1e-9;  // of the bounds
+  const Cholesky<S, 6> solver(D);
+  Matrix6<S> A;  // T_c D^-1
+  Vector6<S> stopping = F;
+  for (int j = 0; j < 6; ++j) {
+    Vector6<S> unit = Vector6<S>::Zero();
     unit(j) = period;
-    A.col(j) = solve3<S>(I_B, unit);
+    A.col(j) = solver.solve(unit);
+    for (int i = 0; i < 6; ++i) stopping(i) += D(i, j) * twist(j) / period;
   }
-  Vector3<S> next = omega;
-  for (int i = 0; i < 3; ++i) next(i) += A(i, 0) * F(0) + A(i, 1) * F(1) + A(i, 2) * F(2);
-  Vector3<S> m = Vector3<S>::Zero();
-  for (int sweep = 0; sweep < kSweeps; ++sweep)
-    for (int j = 0; j < 3; ++j) {
-      const S moment = clip(S(m(j) + next(j) / A(j, j)), S(-k(j)), k(j));
-      for (int i = 0; i < 3; ++i) next(i) -= A(i, j) * (moment - m(j));
-      m(j) = moment;
+  Vector6<S> wrench, next = Vector6<S>::Zero();
+  for (int j = 0; j < 6; ++j) {
+    wrench(j) = clip(stopping(j), S(-k(j)), k(j));
+    for (int i = 0; i < 6; ++i) next(i) += A(i, j) * (stopping(j) - wrench(j));
+  }
+  Mask<S> open(true);  // lane by lane, so that none depends on its neighbours
+  for (int sweep = 0; sweep < kSweeps && any(open); ++sweep) {
+    Mask<S> moves(false);
+    for (int j = 0; j < 6; ++j) {
+      const S better = select(open, S(clip(S(wrench(j) + next(j) / A(j, j)), S(-k(j)), k(j))), wrench(j));
+      const S change = better - wrench(j);
+      for (int i = 0; i < 6; ++i) next(i) -= A(i, j) * change;
+      wrench(j) = better;
+      moves = moves | (max(change, S(-change)) > S(kResidual) * k(j));
     }
-  return m;
+    open = moves;
+  }
+  return wrench;
 }
 
 /// What a law commands.
@@ -224,17 +241,10 @@ struct ControlTask {
   /// K_v reaches. Out of line and of copies, so that the others stay in registers.
   [[gnu::noinline]] Vector6<S> stopping_wrench(const Vector6<S>& kv, const Matrix3<S>& R_BE, const Vector6<S>& twist,
                                                const Vector6<S>& others) const {
-    const Matrix3<S> I_B = inertia_in_base(body, R_BE);
-    const S rate = S(1.0) / period;
+    const Matrix6<S> D = mass_matrix(body, R_BE);
+    if (switching.kind == SwitchingKind::implicit_coupled) return coupled_friction<S>(D, period, twist, kv, others);
     Vector6<S> wrench;
-    for (int j = 0; j < 3; ++j) wrench(j) = clip(S(body.mass * rate * twist(j) + others(j)), S(-kv(j)), kv(j));
-    if (switching.kind == SwitchingKind::implicit) {
-      for (int j = 3; j < 6; ++j)
-        wrench(j) = clip(S(I_B(j - 3, j - 3) * rate * twist(j) + others(j)), S(-kv(j)), kv(j));
-    } else {
-      wrench.template tail<3>() =
-          coupled_moment<S>(I_B, period, twist.template tail<3>(), kv.template tail<3>(), others.template tail<3>());
-    }
+    for (int j = 0; j < 6; ++j) wrench(j) = clip(S(D(j, j) / period * twist(j) + others(j)), S(-kv(j)), kv(j));
     return wrench;
   }
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from hexservo import _core
 from hexservo.findings.diagnosis.environment import (
     FINE_STEP,
     IMAGE_ALONE,
@@ -30,7 +31,6 @@ __all__ = ["LAWS", "TASKS"]
 
 _WITH_FRICTION = laws_with("switching")
 _RICHER = 2.0  # a target counts as badly spread where a square would show the worst direction so many times better
-_MAX_DELAY = 8  # ticks of the actuators, docs/model.md section 7
 _FACTORS = (4.0, 16.0, 64.0)  # by which a loop is made slower or faster
 _SUBSTEPS = 8  # times as many are tried
 _LONGER = 3.0  # a run is tried so many times as long
@@ -144,7 +144,7 @@ def _coarse_step(case: Case) -> list[Removal]:
         step = simulation.step / factor
         changes: dict[str, Any] = {"simulation.step": step}
         if case.sampled:
-            if round(case.scenario.actuators.delay / step) > _MAX_DELAY:
+            if round(case.scenario.actuators.delay / step) > _core.MAX_ACTUATOR_DELAY:
                 continue
             if math.isclose(frame_period(case.scenario), simulation.step):  # a frame at every tick, as before
                 changes["camera.period"] = step

@@ -25,7 +25,7 @@ from hexservo.scenario.leg_units import LegUnits
 
 __all__ = ["MOST_DELAY", "DriveFit", "Drives", "fit_drives"]
 
-MOST_DELAY = 8
+MOST_DELAY = _core.MAX_ACTUATOR_DELAY  # [ticks]
 """Most ticks of delay, as `actuators.delay` has it."""
 
 _BANDWIDTHS = 9  # of a coarse grid, from 1/400 of the fastest that ticks show

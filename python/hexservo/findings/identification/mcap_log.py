@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hexservo import _core
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.yaml import ScenarioError
 
@@ -24,7 +25,7 @@ __all__ = ["COMMANDS", "FEATURES", "JOINTS", "MAX_CHUNK", "MAX_MESSAGE", "Record
 COMMANDS, JOINTS, FEATURES = "/commands", "/joints", "/features"
 MAX_CHUNK = 64_000_000  # bytes of a chunk after decompression, and of any other record
 MAX_MESSAGE = 100_000  # bytes of a message of these topics
-_MOST_POINTS = 16
+_MOST_POINTS = _core.MOST_POINTS
 _MOST_TIME = 1e12  # [s]
 # Footer and magic, after which the library stops reading: closes what is read of a chunk.
 _CLOSING = struct.pack("<BQQQI", 2, 20, 0, 0, 0) + b"\x89MCAP0\r\n"
