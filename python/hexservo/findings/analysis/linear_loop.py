@@ -302,10 +302,6 @@ class SampledLoop:
         values = np.linalg.eigvals(self._reduced(clock)[0]).astype(complex)
         return np.asarray(values[np.argsort(-np.abs(values), kind="stable")])
 
-    def radius(self, clock: Clock) -> float:
-        """Spectral radius of the pattern without the modes of `resting`."""
-        return float(np.abs(self.multipliers(clock)[0]))
-
     def motion(self, clock: Clock, multiplier: complex) -> Complex:
         """Return the displacement (n,) at the pattern's start of the mode whose multiplier is nearest, of length 1."""
         whole, basis = self._reduced(clock)

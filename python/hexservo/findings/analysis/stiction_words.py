@@ -70,7 +70,7 @@ def _sentences(found: Stiction) -> list[str]:
             words.append(f"{case.name}: up to {number(case.ends.largest)} px.")
         else:
             words.append(f"{case.name}: no pose within the stroke.")
-    words += [_of_runs(found, runs) for runs in found.runs]
+    words += [_of_runs(runs) for runs in found.runs]
     return words
 
 
@@ -124,7 +124,7 @@ def _of_creep(found: Stiction) -> str:
     return text + "."
 
 
-def _of_runs(found: Stiction, runs: Runs) -> str:
+def _of_runs(runs: Runs) -> str:
     counted = runs.counted
     with_fuzzy = "with" if runs.fuzzy else "without"
     bound = runs.bound

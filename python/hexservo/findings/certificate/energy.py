@@ -93,7 +93,7 @@ def energy_ledger(run: Replay, plant: Plant) -> EnergyLedger:
     if run.continuous and _smooth(run):
         tolerance, paired = _doubled(run, plant, plain)
         by_parts[np.concatenate([paired, paired + 1])] = False
-    for stages in stages_of(run, plant):
+    for stages in stages_of(run):
         wrenches = terms.wrenches(stages, plant)
         rows = len(stages.tick)
         inertia_there = plant.inertia(stages.rows("quaternion"))

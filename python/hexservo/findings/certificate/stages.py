@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexservo import _core
-from hexservo.findings.certificate.replay import Plant, Replay
+from hexservo.findings.certificate.replay import Replay
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.motion import moves
 from hexservo.scenario.parameters import core_parameters
@@ -58,7 +58,7 @@ class Stages:
         return self if rows.all() else replace(self, **{name: value[rows] for name, value in arrays.items()})
 
 
-def stages_of(run: Replay, plant: Plant) -> Iterator[Stages]:
+def stages_of(run: Replay) -> Iterator[Stages]:
     """Return the stages of all steps between the run's samples, some at a time."""
     for first in range(0, len(run.time) - 1, _CHUNK):
         ticks = np.arange(first, min(first + _CHUNK, len(run.time) - 1))

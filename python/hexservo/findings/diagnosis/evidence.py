@@ -48,10 +48,6 @@ def _wrong_sign(case: Case, record: Record, judgement: Judgement) -> Signature:
     )
 
 
-def _coarse_step(case: Case, record: Record, judgement: Judgement) -> Signature:
-    return Signature(None, "")
-
-
 def _saturation(case: Case, record: Record, judgement: Judgement) -> Signature:
     limit = case.scenario.robot.force_limit
     share = float((np.abs(record.samples["leg_forces"]).max(axis=1) >= _AT_LIMIT * limit).mean())
@@ -189,7 +185,6 @@ def _leg_limits(case: Case, record: Record, judgement: Judgement) -> Signature:
 
 SIGNATURES: dict[str, Callable[[Case, Record, Judgement], Signature]] = {
     "wrong_sign": _wrong_sign,
-    "coarse_step": _coarse_step,
     "saturation": _saturation,
     "lost_features": _lost_features,
     "gravity": _gravity,
