@@ -272,7 +272,7 @@ def test_an_analysis_is_added_by_its_recipe(tree: Path) -> None:
 
 
 CAUSE = """
-    Cause("exposure", "frames that are too rare", "device", _keys("camera.period"), _exposure),"""
+    Cause("exposure", "frames that are too rare", _keys("camera.period"), _exposure),"""
 
 FAULT = """    "exposure": (
         Fault({"camera.period": Choice((0.020, 0.033))}, laws=("hybrid",), cameras=("every_tick",)),

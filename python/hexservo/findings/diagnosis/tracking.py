@@ -96,7 +96,7 @@ def _cause(
     context: tuple[str, ...] = (),
 ) -> Cause:
     keys = frozenset(f"LAW.{name}" for name in names)
-    return Cause(key, title, "law", keys, _of_the_law(changes, words), alone=_alone(changes, context))
+    return Cause(key, title, keys, _of_the_law(changes, words), alone=_alone(changes, context), kind="law")
 
 
 TRACKING: tuple[Cause, ...] = (
