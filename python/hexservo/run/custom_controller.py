@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -42,6 +43,9 @@ class Observation(NamedTuple):
     """(6,), (velocity; angular velocity) in B, by the joint sensors [m/s; rad/s]."""
 
 
+_seen_of = attrgetter(*Observation._fields)  # of what the core has seen, under equal names
+
+
 @dataclass(frozen=True, eq=False)
 class LegForces:
     """Output of a controller that commands the legs individually.
@@ -74,16 +78,7 @@ def run_with(scenario: Scenario, controller: OwnController) -> _core.Trajectory:
     try:
         while run.running:
             seen = run.observe()
-            observation = Observation(
-                seen.tick,
-                seen.time,
-                seen.exposure,
-                seen.features,
-                seen.depth,
-                seen.position,
-                seen.quaternion,
-                seen.twist,
-            )
+            observation = Observation._make(_seen_of(seen))
             try:
                 command = controller(observation)
             except Exception as error:

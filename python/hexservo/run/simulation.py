@@ -7,7 +7,7 @@ from typing import cast
 from hexservo import _core
 from hexservo.run.custom_controller import OwnController, function_name, run_with
 from hexservo.run.metrics import METRICS
-from hexservo.run.result import LimitEvent, LimitKind, Outcome, Result
+from hexservo.run.result import LimitEvent, LimitKind, Outcome, Result, quantities
 from hexservo.run.variant import chosen_kernel
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario, require_scenario
@@ -55,6 +55,7 @@ def simulate(scenario: Scenario, *, controller: OwnController | None = None, log
         run = run_with(scenario, controller)
     else:
         raise wrong_type("controller", "a function of an Observation", controller)
+    arrays = ("time", *quantities(run.depth.shape[1]), "fuzzy_weights", "weight_history")
     return Result(
         scenario=scenario,
         controller=scenario.controller.law if controller is None else function_name(controller),
@@ -62,19 +63,8 @@ def simulate(scenario: Scenario, *, controller: OwnController | None = None, log
         end_time=run.end_time,
         detail=run.detail,
         events=tuple(_limit_event(event, scenario.robot.legs == "rotary") for event in run.events),
-        time=run.time,
-        feature_error=run.feature_error,
-        depth=run.depth,
-        position=run.position,
-        quaternion=run.quaternion,
-        twist=run.twist,
-        wrench=run.wrench,
-        fuzzy_output=run.fuzzy_output,
-        leg_lengths=run.leg_lengths,
-        leg_forces=run.leg_forces,
-        fuzzy_weights=run.fuzzy_weights,
         streamed_metrics={name: getattr(run.metrics, name) for name in METRICS},
-        weight_history=run.weight_history,
+        **{name: getattr(run, name) for name in arrays},
     )
 
 
