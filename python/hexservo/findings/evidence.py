@@ -27,6 +27,7 @@ __all__ = [
     "Table",
     "Verdict",
     "as_data",
+    "picked",
 ]
 
 Cell: TypeAlias = str | float | int | bool | None
@@ -143,6 +144,11 @@ class Section:
     items: Sequence[Item] = ()
     verdict: Verdict = "open"
     data: dict[str, Any] = field(default_factory=dict)  # the findings as numbers, in SI units and pixels, for programs
+
+
+def picked(thing: Any, names: str) -> dict[str, Any]:
+    """Return attributes by their names, which blanks separate."""
+    return {name: getattr(thing, name) for name in names.split()}
 
 
 def as_data(value: Any) -> Any:

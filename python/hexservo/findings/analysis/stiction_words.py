@@ -10,7 +10,7 @@ from hexservo.findings.analysis.stiction import Stiction, StictionCase
 from hexservo.findings.analysis.stiction_runs import Runs
 from hexservo.findings.analysis.stiction_set import SPAN
 from hexservo.findings.analysis.words import number
-from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict
+from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict, picked
 
 __all__ = ["section"]
 
@@ -289,10 +289,7 @@ def _run_curves(found: Stiction) -> Curves:
 
 def _data(found: Stiction) -> dict[str, object]:
     return {
-        "kind": found.kind,
-        "reason": found.reason,
-        "kv": found.kv,
-        "gravity_error": found.gravity_error,
+        **picked(found, "kind reason kv gravity_error"),
         "creep_times": None if found.creep is None else found.creep.times,
         "creep_left": None if found.creep is None else found.creep.left,
         "fuzzy_straight_way": found.straight_way,
@@ -314,16 +311,7 @@ def _data(found: Stiction) -> dict[str, object]:
         if found.around_home is None or found.around_home.ends is None
         else found.around_home.ends.largest,
         "runs": [
-            {
-                "fuzzy": runs.fuzzy,
-                "duration": runs.duration,
-                "bound": runs.bound,
-                "counted": runs.counted,
-                "start_error": runs.start_error,
-                "final_error": runs.final_error,
-                "start_share": runs.start_share,
-                "final_share": runs.final_share,
-            }
+            picked(runs, "fuzzy duration bound counted start_error final_error start_share final_share")
             for runs in found.runs
         ],
     }
