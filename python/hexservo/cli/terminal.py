@@ -36,6 +36,7 @@ __all__ = [
     "errors_as_messages",
     "expanded",
     "load",
+    "refusals",
     "show_parts",
     "spell_time",
     "split",
@@ -199,6 +200,19 @@ def errors_as_messages() -> Iterator[None]:
     except KeyboardInterrupt:
         complain("no further files were written", head="Interrupted")
         raise typer.Exit(INTERRUPTED) from None
+
+
+@contextlib.contextmanager
+def refusals(source: str | None = None) -> Iterator[None]:
+    """Convert a ValueError, as of an option, to bad input of a source; errors that have a message of their own stay."""
+    from hexservo.run.publish import OutputError
+
+    try:
+        yield
+    except (hs.ScenarioError, hs.ResultError, OutputError):
+        raise
+    except ValueError as error:
+        raise hs.ScenarioError(str(error).splitlines(), source) from error
 
 
 def ending(result: hs.Result) -> str:
