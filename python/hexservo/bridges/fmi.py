@@ -25,8 +25,6 @@ from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario, require_scenario
 from hexservo.scenario.version import VERSION
 
-__all__ = ["UnitKind", "fmu", "is_unit"]
-
 UnitKind = Literal["loop", "plant", "controller"]
 """What a unit computes."""
 

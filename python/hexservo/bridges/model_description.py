@@ -12,8 +12,6 @@ from xml.etree import ElementTree
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.version import VERSION
 
-__all__ = ["UnitVariable", "model_description", "si_exponents"]
-
 _FMI2 = {"real": "Real", "whole": "Integer", "flag": "Boolean", "text": "String"}
 _NONE, _ANY = {"dependencies": ""}, dict[str, str]()  # of an output: a tick is between; at first, all parameters
 _FMI3 = {"real": "Float64", "whole": "Int32", "flag": "Boolean", "text": "String"}

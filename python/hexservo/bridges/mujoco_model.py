@@ -16,8 +16,6 @@ from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.scenario import Scenario, require_scenario
 from hexservo.scenario.version import VERSION
 
-__all__ = ["TITLE", "mjcf"]
-
 TITLE = "<!-- hexservo MJCF, format 1 -->"
 """First line of every exported model, which distinguishes it from other files."""
 

@@ -23,8 +23,6 @@ from hexservo.scenario.arrays import Array
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["Candidates", "Judged", "ranking"]
-
 _WORST_RUNS = 400  # of a search for the worst case of a candidate
 _WORSE = 1e-3  # a case joins if its margin is smaller by more than this,
 _LARGER = 1.01  # or a minimised metric larger by more than this factor

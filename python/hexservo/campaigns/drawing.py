@@ -18,8 +18,6 @@ from hexservo.scenario.leg_units import unit_of, unit_of_entry
 from hexservo.scenario.parameters import units_of_keys
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["PLACED", "Drawing", "points_of", "with_unit"]
-
 _BLOCK = 4  # numbers of 64 bits that one count of Philox gives
 
 

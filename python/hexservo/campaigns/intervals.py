@@ -9,8 +9,6 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import betaincinv, betaln
 
-__all__ = ["JEFFREYS", "RARE", "Mixture", "anytime_interval", "clopper_pearson", "runs_for_bound"]
-
 
 @dataclass(frozen=True)
 class Mixture:

@@ -12,8 +12,6 @@ from hexservo.campaigns.plan import CampaignPlan
 from hexservo.run.batch import BatchResult, simulate_batch, whole
 from hexservo.scenario.arrays import Array
 
-__all__ = ["Judge"]
-
 
 class Judge:
     """Runs what a campaign may draw, and judges each run against its requirements; counts the runs.

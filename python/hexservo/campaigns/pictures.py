@@ -16,8 +16,6 @@ from hexservo.run.metrics import metric_unit
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.wording import above, below
 
-__all__ = ["campaign_sections", "influential"]
-
 _PAGE = "docs/campaigns.md"
 _POINTS = 60  # of the interval over the runs
 _QUANTILES = 400  # of a distribution

@@ -45,8 +45,6 @@ from hexservo.scenario.scenario import Document, Scenario, load_scenario, scenar
 from hexservo.scenario.wording import wrong_type
 from hexservo.scenario.yaml import ScenarioError, dump_yaml, read_yaml
 
-__all__ = ["CampaignPlan", "campaign_names", "load_plan"]
-
 MAX_RUNS = 10**12
 CHUNK_SIZE = 5000
 _OF_LIMITS = {  # metrics that only some scenarios have

@@ -18,8 +18,6 @@ from hexservo.run.metrics import metric_unit
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number
 
-__all__ = ["Edge", "FrontPoint", "Generation", "Relaxation", "TuneResult"]
-
 _PAGE = "docs/tune.md"
 
 

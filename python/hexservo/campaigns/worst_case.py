@@ -25,8 +25,6 @@ from hexservo.scenario.wording import number, whole_number, wrong_type
 if TYPE_CHECKING:
     from hexservo.findings.diagnosis import Diagnosis
 
-__all__ = ["WorstCase", "smallest_in_box", "worst_case"]
-
 CASE = "worst-case.yaml"
 _POPULATION = 12  # candidates of a generation, at least
 _SIGMA = 0.3  # first spread of the candidates, in parts of the box

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
     from hexservo.findings.evidence import Section
 
-__all__ = ["campaign", "tune"]
-
 _LONGEST_COMMAND = 400  # characters that are printed; a longer one has arrays, and the file holds them too
 NOT_FEASIBLE = 1
 PicturesOption = Annotated[

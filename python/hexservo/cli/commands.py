@@ -44,8 +44,6 @@ from hexservo.scenario.laws import LAWS
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-__all__ = ["app", "main"]
-
 _ALL = "all"  # laws that the core has for any machine, and those that a scenario has
 _GAP = 2  # between two columns of a table
 _WIDTH_FOR_MEANINGS = 72  # in a narrower terminal the table has no meanings of the metrics

@@ -25,19 +25,6 @@ from hexservo.cli.terminal import (
     write,
 )
 
-__all__ = [
-    "STANDARD_OUTPUT",
-    "ForceOption",
-    "JsonOption",
-    "analyse",
-    "certify",
-    "check_json",
-    "diagnose",
-    "identified",
-    "report",
-    "write_json",
-]
-
 STANDARD_OUTPUT = "-"  # in place of a file
 _RunArgument = Annotated[
     str,

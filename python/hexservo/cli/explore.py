@@ -10,8 +10,6 @@ import typer
 import hexservo as hs
 from hexservo.cli.terminal import BAD_INPUT, SettingsOption, complain, errors_as_messages, load, write
 
-__all__ = ["explore"]
-
 
 def explore(
     scenario: Annotated[

@@ -11,8 +11,6 @@ import typer
 import hexservo as hs
 from hexservo.cli.terminal import ScenarioArgument, SettingsOption, errors_as_messages, load, write
 
-__all__ = ["export"]
-
 _AUTHOR = "hexservo export"
 
 

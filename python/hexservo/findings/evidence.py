@@ -14,22 +14,6 @@ import numpy as np
 
 from hexservo.scenario.arrays import Array
 
-__all__ = [
-    "Bars",
-    "Cell",
-    "Column",
-    "Curves",
-    "HeatMap",
-    "Item",
-    "Line",
-    "Section",
-    "Share",
-    "Table",
-    "Verdict",
-    "as_data",
-    "picked",
-]
-
 Cell: TypeAlias = str | float | int | bool | None
 """Cell of a table: a number is in the unit of its column; None if there is no value."""
 

@@ -13,8 +13,6 @@ from hexservo.scenario.scenario import Scenario, scenario_names
 from hexservo.scenario.schema import schema
 from hexservo.scenario.version import VERSION
 
-__all__ = ["TITLE", "ExplorerError", "built_for", "checked_page", "explorer_page"]
-
 TITLE = "<!doctype html><!-- hexservo explorer, format 1 -->"
 _BUILT_FOR = re.compile(r'<meta name="hexservo" content="([^"]*)">')
 _PLACE = '<script type="application/json" id="own">null</script>'

@@ -16,8 +16,6 @@ from hexservo.scenario.laws import ALL_LAWS
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["LegForces", "Observation", "OwnController", "function_name", "run_with"]
-
 
 class Observation(NamedTuple):
     """Input of a controller at a servo tick: measurements, never the plant's true values.

@@ -16,8 +16,6 @@ from hexservo.scenario.leg_units import unit_of
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.version import VERSION
 
-__all__ = ["TITLE", "gains_header", "robot_notes"]
-
 _SEEN_FROM_HOME = ("target.initial_features", "target.depth")  # in place of points
 
 _FOUR = 4  # points: what controllers and arrays of the core are for by default

@@ -14,8 +14,6 @@ from hexservo.scenario.keys import NumericKey, acting_keys
 from hexservo.scenario.laws import ALL_LAWS
 from hexservo.scenario.scenario import Scenario
 
-__all__ = []
-
 _ALWAYS = "uncertainty.gravity"  # varies in every batch, be it by nothing
 
 

@@ -13,8 +13,6 @@ from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario, require_scenario
 from hexservo.scenario.wording import wrong_type
 
-__all__ = ["simulate"]
-
 
 def simulate(scenario: Scenario, *, controller: OwnController | None = None, log_weights: bool = False) -> Result:
     """Run a scenario from home, at rest (docs/model.md, sections 3 to 8).

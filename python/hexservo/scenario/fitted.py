@@ -24,20 +24,6 @@ from hexservo.scenario.parameters import Settings, core_parameters
 from hexservo.scenario.placing import read_target
 from hexservo.scenario.plain import plain, put
 
-__all__ = [
-    "Machine",
-    "acts_on_gains",
-    "auto_of",
-    "chosen_keys",
-    "fitted_gains",
-    "fitted_keys",
-    "gains_written",
-    "machine_of",
-    "machine_with",
-    "with_fitted_gains",
-    "without_fitted_gains",
-]
-
 # Dimensionless numbers of the formulas, docs/gains.md.
 _PRIOR = 1.5e-3  # composite, computed_torque: weight of the prior over the image of one point
 _NOISY_PRIOR = 0.05  # pbvs: the same under noise; an exact image releases it

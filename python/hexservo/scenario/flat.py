@@ -10,8 +10,6 @@ from hexservo import _core
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["core_values", "flat", "flat_text", "is_none", "plain_value"]
-
 
 def flat(scenario: Scenario) -> dict[str, str]:
     """Return every key of the core with its value as text, what Python derives from other keys included.

@@ -9,8 +9,6 @@ import numpy as np
 from hexservo import _core
 from hexservo.scenario.flat import is_none
 
-__all__ = ["schema"]
-
 
 def schema() -> list[dict[str, Any]]:
     """Return every numeric key, flag and choice of a scenario in the order of its file, as data for JSON.

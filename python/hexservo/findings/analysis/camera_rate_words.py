@@ -18,8 +18,6 @@ from hexservo.run.leg_limits import LimitUse, limits_of_motion
 from hexservo.run.metrics import readable_unit
 from hexservo.scenario.leg_units import leg_units
 
-__all__ = ["section"]
-
 PAGE = "docs/analysis/camera_rate.md"
 
 ENOUGH_GAIN = 2.0

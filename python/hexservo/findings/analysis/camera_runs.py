@@ -18,8 +18,6 @@ from hexservo.run.simulation import simulate
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["STARTS", "LimitBorder", "StartRun", "learned_weights", "limit_border", "start_runs"]
-
 STARTS = (0.01, 1.0)
 """Largest feature offsets of the small starts [px]."""
 

@@ -10,8 +10,6 @@ from hexservo.findings.analysis.drift import GRID, LARGEST, SIZES, Drift, Patter
 from hexservo.findings.analysis.words import direction_words, open_section
 from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict, picked
 
-__all__ = ["section"]
-
 PAGE = "docs/analysis/drift.md"
 
 

@@ -19,8 +19,6 @@ from hexservo.findings.analysis.words import (
 from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict, picked
 from hexservo.scenario.laws import laws_with
 
-__all__ = ["section"]
-
 PAGE = "docs/analysis/equilibria.md"
 
 

@@ -24,8 +24,6 @@ from hexservo.scenario.laws import LAWS, laws_with
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["Direction", "LargestStart", "Timing", "analyse", "border"]
-
 _SHORT, _LONG = 2.0, 10.0  # [s], of a run, and of one where the task itself needs longer
 _GRID = 8  # sizes in the first round, up to the largest that is possible
 _ROUNDS = 2  # of bisection in quarters

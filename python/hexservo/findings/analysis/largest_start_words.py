@@ -12,8 +12,6 @@ from hexservo.findings.analysis.words import number, open_section
 from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict, picked
 from hexservo.scenario.laws import LAWS
 
-__all__ = ["border_words", "section"]
-
 PAGE = "docs/analysis/largest_start.md"
 
 

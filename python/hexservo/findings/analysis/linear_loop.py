@@ -14,9 +14,6 @@ import numpy as np
 
 from hexservo.scenario.arrays import Array, Complex
 
-__all__ = ["BORDER", "Actuation", "Clock", "SampledLoop"]
-
-
 BORDER = 1.0 + 1e-8
 """A spectral radius beyond it counts as unstable: closer to 1 rounding and finite differences decide."""
 

@@ -28,20 +28,6 @@ from hexservo.scenario.pixels import on_pinhole
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.yaml import ScenarioError
 
-__all__ = [
-    "LoopAtRest",
-    "NotApplicableError",
-    "at_rest_at_home",
-    "clock_of",
-    "growth",
-    "loop_at_rest",
-    "loop_with_weights",
-    "proportional_gains",
-    "quiet",
-    "require_forces",
-    "scaled",
-]
-
 _PROPORTIONAL = ("kp", "kt", "drive", "gain", "gain_far")
 
 OFFSET = 0.01

@@ -14,8 +14,6 @@ from hexservo.scenario.arrays import Array
 from hexservo.scenario.keys import numeric_keys, value_at
 from hexservo.scenario.scenario import Scenario, load_scenario
 
-__all__ = ["NotComputed", "not_computed"]
-
 _EXTREME = 1e4  # factor between a number of a scenario and those of `paper` from which it is named
 _NAMED = 3  # keys at most
 

@@ -16,8 +16,6 @@ from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.parameters import gains_of
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["Rest", "RestLaw", "not_analysed"]
-
 _STEPS = np.repeat([1e-5, 1e-5], 3)  # [m; rad], of the central differences of a wrench
 
 

@@ -12,8 +12,6 @@ from hexservo.findings.analysis.stiction_set import SPAN
 from hexservo.findings.analysis.words import number
 from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict, picked
 
-__all__ = ["section"]
-
 PAGE = "docs/analysis/stiction.md"
 _BORDER = 1.01  # times K_v: viscous damping lets a platform end on the border of the set, where it comes to rest slowly
 _AXES = ("force along x", "force along y", "force along z", "moment about x", "moment about y", "moment about z")

@@ -22,8 +22,6 @@ from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.laws import THEOREM_LAW
 from hexservo.scenario.scenario import Scenario, require_scenario
 
-__all__ = ["BatchCertificate", "certify_batch"]
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class BatchCertificate(Part):

@@ -8,8 +8,6 @@ from hexservo.findings.certificate.batch import BatchCertificate
 from hexservo.findings.certificate.uncertainty import AXES
 from hexservo.findings.evidence import Column, Section, Table, picked
 
-__all__ = ["section"]
-
 PAGE = "docs/certificate/batch.md"
 
 

@@ -9,8 +9,6 @@ from hexservo.findings.certificate.words import stride
 from hexservo.findings.evidence import Column, Curves, Line, Section, Table, picked
 from hexservo.scenario.wording import joules
 
-__all__ = ["section"]
-
 PAGE = "docs/certificate/energy.md"
 
 

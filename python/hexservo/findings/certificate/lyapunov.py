@@ -13,9 +13,6 @@ from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.parameters import gains_of
 
-__all__ = ["Lyapunov", "Rise", "differentiate", "lyapunov_of"]
-
-
 # Central differences of a function at distances 1, 2, 3, by half width; errors of order 4 and 6.
 _STENCILS = {2: (8 / 12, -1 / 12), 3: (45 / 60, -9 / 60, 1 / 60)}
 _WIDEST = max(_STENCILS)

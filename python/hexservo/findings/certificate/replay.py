@@ -14,9 +14,6 @@ from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.parameters import Settings, core_parameters
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["Plant", "Replay", "every_step", "product", "replay", "replay_of", "sgn_breaks"]
-
-
 # what two runs are compared by -> unit
 _COMPARED = {
     "feature_error": "px",

@@ -15,8 +15,6 @@ from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.motion import moves
 from hexservo.scenario.parameters import core_parameters
 
-__all__ = ["STAGE_WEIGHTS", "Stages", "doubled_stages_of", "stages_of"]
-
 STAGE_WEIGHTS = np.array([1.0, 2.0, 2.0, 1.0]) / 6.0
 """Of the classic Runge-Kutta method, which are those of its quadrature too."""
 

@@ -7,6 +7,4 @@ from hexservo.findings.diagnosis.laws import LAWS, TASKS
 from hexservo.findings.diagnosis.model import Cause
 from hexservo.findings.diagnosis.tracking import TRACKING
 
-__all__ = ["CAUSES"]
-
 CAUSES: tuple[Cause, ...] = (*TASKS[:1], *DEVICES, *LAWS, *TRACKING, *TASKS[1:])

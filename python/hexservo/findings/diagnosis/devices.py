@@ -30,8 +30,6 @@ from hexservo.scenario.keys import keys_below, value_at
 from hexservo.scenario.laws import laws_with
 from hexservo.scenario.parameters import core_parameters, frame_period
 
-__all__ = ["DEVICES"]
-
 _IMAGE = frozenset({"camera.period", "camera.latency", "camera.latency_jitter", "camera.prediction"})
 _ENCODERS = frozenset({"sensors.pose", "sensors.rate", "sensors.period"})
 

@@ -9,8 +9,6 @@ from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal, alway
 from hexservo.findings.diagnosis.remedies import slower_remedies
 from hexservo.scenario.keys import keys_below
 
-__all__ = ["DRIVES"]
-
 _FRICTION = "actuators.motor.friction"
 _MOTORS = frozenset({"actuators.kind", *keys_below("actuators.motor")})
 

@@ -20,8 +20,6 @@ from hexservo.scenario.parameters import core_parameters, frame_period
 from hexservo.scenario.pixels import desired_features, points_outside
 from hexservo.scenario.wording import number
 
-__all__ = ["OF_THE_SCENARIO", "SIGNATURES", "Signature"]
-
 _TAIL = 0.25  # the last part of a run, in which it rests or does not
 _AT_REST = 0.02  # of the stroke, that the legs may move in it
 _AT_LIMIT = 0.999  # of the force limit

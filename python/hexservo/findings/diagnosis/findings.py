@@ -11,8 +11,6 @@ from hexservo.findings.evidence import Section, as_data, picked
 from hexservo.findings.part import Part
 from hexservo.run.result import Result
 
-__all__ = ["Diagnosis", "Finding", "Remedy"]
-
 
 @dataclass(frozen=True, eq=False)
 class Remedy:

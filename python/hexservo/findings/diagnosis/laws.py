@@ -26,8 +26,6 @@ from hexservo.scenario.laws import Fuzzy, laws_with
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.pixels import to_pixels
 
-__all__ = ["LAWS", "TASKS"]
-
 _WITH_FRICTION = laws_with("switching")
 _RICHER = 2.0  # a target counts as badly spread where a square would show the worst direction so many times better
 _MAX_DELAY = 8  # ticks of the actuators, docs/model.md section 7

@@ -13,8 +13,6 @@ from hexservo.findings.diagnosis.goal import Goal, Obstacle
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["Alone", "Case", "Cause", "Removal", "always", "removed_by", "same"]
-
 Changes: TypeAlias = Mapping[str, Any]  # by dotted key, as Scenario.updated takes them
 Kind: TypeAlias = Literal["device", "law", "task"]
 

@@ -18,8 +18,6 @@ from hexservo.scenario.keys import acting_keys
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.yaml import ScenarioError
 
-__all__ = ["Run", "record_of", "run_all"]
-
 _SAMPLES = 500  # about so many of a run are kept
 _MAX_BATCH = 64  # runs: bounds the memory of their samples
 _KEPT = ("feature_error", "position", "quaternion", "twist", "wrench", "fuzzy_output", "leg_lengths", "leg_forces")

@@ -12,8 +12,6 @@ from hexservo.findings.leg_feedback import feedback_margin, integral_margin
 from hexservo.scenario.keys import keys_below, value_at
 from hexservo.scenario.laws import Tracking
 
-__all__ = ["TRACKING", "legs_within_margins", "well_set"]
-
 _LAW = "tracking"
 _BLOCK = f"controller.{_LAW}"
 _FILTER = ("noise", "acceleration", "speed", "jump", "certainty")
