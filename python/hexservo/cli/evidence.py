@@ -149,11 +149,10 @@ def _result(run: str, settings: list[str], camera: str | None = None) -> hs.Resu
 
 
 def _run(scenario: hs.Scenario) -> hs.Result:
+    from hexservo.run.simulation import uninterrupted
+
     with refusals(scenario.name):
-        result = _simulated(scenario)
-    if result.outcome == "interrupted":
-        raise KeyboardInterrupt
-    return result
+        return uninterrupted(_simulated(scenario))
 
 
 def _simulated(scenario: hs.Scenario) -> hs.Result:

@@ -66,6 +66,19 @@ def simulate(scenario: Scenario, *, controller: OwnController | None = None, log
     )
 
 
+def uninterrupted(result: Result) -> Result:
+    """Return a run for findings: nobody stopped it.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        Ctrl-C ended it, which `simulate` only notes: what it has is incomplete.
+    """
+    if result.outcome == "interrupted":
+        raise KeyboardInterrupt
+    return result
+
+
 def _limit_event(event: _core.LimitEvent, rotary: bool) -> LimitEvent:
     """Count legs from 1, as the paper does."""
     kind = cast("LimitKind", event.kind.name)

@@ -9,7 +9,7 @@ import numpy as np
 
 from hexservo import _core
 from hexservo.run.result import Result, require_result
-from hexservo.run.simulation import simulate
+from hexservo.run.simulation import simulate, uninterrupted
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.parameters import Settings, core_parameters
 from hexservo.scenario.scenario import Scenario
@@ -106,10 +106,7 @@ def every_step(scenario: Scenario) -> Result:
     KeyboardInterrupt
         Where the user stops the run: what is there of it is of no use here.
     """
-    run = simulate(scenario.updated({"simulation.log_every": 1}), log_weights=True)
-    if run.outcome == "interrupted":
-        raise KeyboardInterrupt
-    return run
+    return uninterrupted(simulate(scenario.updated({"simulation.log_every": 1}), log_weights=True))
 
 
 def replay_of(
