@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from dataclasses import dataclass
 
 import numpy as np
@@ -85,13 +86,11 @@ def clopper_pearson(failures: int, runs: int, confidence: float = 0.95) -> tuple
 
 def runs_for_bound(probability: float, failures: int, confidence: float, mixture: Mixture) -> int:
     """Return the least number of runs with so many failures whose interval lies below a probability."""
-    low, high = failures, max(failures, 1)
-    while anytime_interval(failures, high, confidence, mixture)[1] > probability:
-        low, high = high, 2 * high
-    while high - low > 1:
-        middle = (low + high) // 2
-        if anytime_interval(failures, middle, confidence, mixture)[1] > probability:
-            low = middle
-        else:
-            high = middle
-    return high
+    least = high = max(failures, 1)
+
+    def below(runs: int) -> bool:
+        return anytime_interval(failures, runs, confidence, mixture)[1] <= probability
+
+    while not below(high):
+        high *= 2
+    return bisect_left(range(high), True, lo=max(least, high // 2), key=below)
