@@ -67,12 +67,12 @@ def simulate(scenario: Scenario, *, controller: OwnController | None = None, log
 
 
 def uninterrupted(result: Result) -> Result:
-    """Return a run for findings: nobody stopped it.
+    """Return a run for findings: it was not interrupted.
 
     Raises
     ------
     KeyboardInterrupt
-        Ctrl-C ended it, which `simulate` only notes: what it has is incomplete.
+        Ctrl-C ended it: what it has is incomplete.
     """
     if result.outcome == "interrupted":
         raise KeyboardInterrupt
