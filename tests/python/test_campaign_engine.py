@@ -36,7 +36,6 @@ FILE: dict[str, Any] = {
     "runs": RUNS,
     "chunk_size": 100,
 }
-TABLE = "final table"
 
 
 def digest_of(folder: Path) -> list[bytes]:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy import stats
-from scipy.special import bdtr, bdtrc
+from scipy.special import bdtr, bdtrc, betaln, xlog1py, xlogy
 
 from hexservo.campaigns.chunks import Tally
 from hexservo.campaigns.intervals import (
@@ -16,7 +17,6 @@ from hexservo.campaigns.intervals import (
     Mixture,
     anytime_interval,
     clopper_pearson,
-    log_martingale,
     runs_for_bound,
 )
 from hexservo.campaigns.plan import load_plan
@@ -26,6 +26,13 @@ from hexservo.campaigns.words import summary_section
 from hexservo.findings.evidence import Section
 
 MIXTURES = [JEFFREYS, Mixture(2.0, 5.0)]
+
+
+def log_martingale(probability: Any, failures: Any, runs: Any, mixture: Mixture = JEFFREYS) -> Any:
+    """log M_n(p), of numbers or arrays that broadcast."""
+    k, n, p = np.asarray(failures), np.asarray(runs), np.asarray(probability)
+    likelihood = xlogy(k, p) + xlog1py(n - k, -p)
+    return betaln(mixture.a + k, mixture.b + n - k) - betaln(mixture.a, mixture.b) - likelihood
 
 
 @pytest.mark.parametrize("mixture", MIXTURES)

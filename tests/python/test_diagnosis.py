@@ -25,7 +25,7 @@ from diagnosis_faults import FAULTS, KEPT_APART, shipped
 from diagnosis_faults import variation as draw
 from diagnosis_statistics import count, failing, totals
 from hexservo.findings.analysis.reach import reach_of_start_and_goal
-from hexservo.findings.diagnosis.causes import CAUSES, HARMLESS, IN_COMMON
+from hexservo.findings.diagnosis.causes import CAUSES
 from hexservo.findings.diagnosis.criterion import DRIFT_TIME, Allowed, Record, judge, make_record
 from hexservo.findings.diagnosis.environment import ORDINARY, alone_pairs, ideal, known, ordinary
 from hexservo.findings.diagnosis.evidence import SIGNATURES
@@ -40,6 +40,7 @@ from hexservo.scenario.laws import ALL_LAWS, LAWS
 from hexservo.scenario.parameters import core_parameters, frame_period
 from hexservo.scenario.pixels import desired_features, points_outside
 from hexservo.scenario.scenario import Scenario
+from keys_without_cause import HARMLESS, IN_COMMON
 
 ROOT = Path(__file__).resolve().parents[2]
 KEYS = tuple(cause.key for cause in CAUSES)

@@ -24,7 +24,8 @@ import hexservo as hs
 from hexservo import _core
 from hexservo.cli.commands import app
 from hexservo.report import explorer
-from hexservo.report.explorer import ExplorerError, built_for, checked_page, explorer_page, write_explorer
+from hexservo.report.explorer import TITLE, ExplorerError, built_for, checked_page, explorer_page
+from hexservo.run.files import write_file
 from hexservo.run.leg_limits import leg_limits
 from hexservo.run.metrics import METRICS
 from hexservo.run.publish import OutputError
@@ -76,7 +77,7 @@ def browser() -> Iterator[Browser]:
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("explorer") / "explorer.html"
-    write_explorer("paper", path)
+    path.write_text(explorer_page("paper"), encoding="utf-8")
     return path
 
 
@@ -941,14 +942,14 @@ def test_the_command_writes_a_page_and_never_over_another_file(tmp_path: Path) -
     assert runner.invoke(app, ["explore", "--out", str(out), "--no-open", "--force"]).exit_code == 0
     out.write_text("mine", encoding="utf-8")
     with pytest.raises(OutputError):
-        write_explorer("paper", out, force=True)
+        write_file(explorer_page("paper"), out, TITLE, "hexservo explore", force=True)
     assert out.read_text(encoding="utf-8") == "mine"
 
 
 @in_browser
 def test_a_scenario_of_a_file_is_one_more_preset(browser: Browser, tmp_path: Path) -> None:
     scenario = hs.load_scenario("task-tilt").updated({"description": "</script>", "uncertainty.gravity": 0.02})
-    write_explorer(scenario, tmp_path / "page.html")
+    (tmp_path / "page.html").write_text(explorer_page(scenario), encoding="utf-8")
     visit = Visit(browser, tmp_path / "page.html")
     assert visit.page.evaluate("explorer.full()") == core_values(scenario)
     assert visit.problems == []

@@ -20,7 +20,8 @@ import hexservo as hs
 from hexservo import _core
 from hexservo.cli import commands as cli
 from hexservo.run import publish
-from hexservo.run.export import gains_header, robot_notes, write_header
+from hexservo.run.export import TITLE, gains_header, robot_notes
+from hexservo.run.files import write_file
 from hexservo.run.publish import OutputError
 from hexservo.scenario.parameters import core_parameters
 
@@ -248,7 +249,7 @@ def reader(paper: hs.Scenario, tmp_path_factory: pytest.TempPathFactory) -> Path
     for index, (law, points) in enumerate(CASES):
         scenario, seen = exported(paper, law, points)
         header = gains_header(scenario, 1 / 1700)
-        write_header(header, folder / f"gains{index}.hpp")
+        write_file(header, folder / f"gains{index}.hpp", TITLE, "hexservo export")
         includes += f'#include "gains{index}.hpp"\n'
         namespace = header.split("#define HEXSERVO_GAINS ")[1].split("\n")[0]
         place = {name: f"*s.{name}" for name in seen if "joints" in name or "points" in name} | {
@@ -342,7 +343,7 @@ def test_force_keeps_what_export_did_not_write(tmp_path: Path, content: bytes) -
 def test_places_where_no_header_can_be(paper: hs.Scenario, tmp_path: Path) -> None:
     text = gains_header(paper)
     (tmp_path / "folder").mkdir()
-    write_header(text, tmp_path / "other.hpp")
+    write_file(text, tmp_path / "other.hpp", TITLE, "hexservo export")
     (tmp_path / "link.hpp").symlink_to("other.hpp")
     (tmp_path / "dangling.hpp").symlink_to("nowhere")
     os.mkfifo(tmp_path / "pipe")
@@ -358,10 +359,10 @@ def test_places_where_no_header_can_be(paper: hs.Scenario, tmp_path: Path) -> No
         ("a\0b", "null"),
     ]:
         with pytest.raises(OutputError, match=words) as caught:
-            write_header(text, tmp_path / name, force=True)
+            write_file(text, tmp_path / name, TITLE, "hexservo export", force=True)
         assert len(str(caught.value).splitlines()) == 1
     with pytest.raises(OutputError, match="expected the name of a file"):
-        write_header(text, "")
+        write_file(text, "", TITLE, "hexservo export")
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         "dangling.hpp",
         "folder",
@@ -375,12 +376,12 @@ def test_places_where_no_header_can_be(paper: hs.Scenario, tmp_path: Path) -> No
 def test_nothing_is_left_of_a_full_disk(paper: hs.Scenario, tmp_path: Path, force: bool) -> None:
     header = tmp_path / "gains.hpp"
     if force:
-        write_header(gains_header(paper, 0.5), header)
+        write_file(gains_header(paper, 0.5), header, TITLE, "hexservo export")
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
     try:
         with pytest.raises(OutputError, match="File too large; nothing was written"):
-            write_header(gains_header(paper), header, force=force)
+            write_file(gains_header(paper), header, TITLE, "hexservo export", force=force)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert [path.read_text(encoding="utf-8") for path in tmp_path.iterdir()] == [gains_header(paper, 0.5)] * force

@@ -11,7 +11,8 @@ from typing import Any
 import pytest
 
 import hexservo as hs
-from hexservo.bridges.fmi import write_fmu
+from hexservo.bridges.fmi import is_unit
+from hexservo.run.files import write_file
 from hexservo.run.publish import OutputError
 
 
@@ -65,5 +66,5 @@ def test_force_leaves_what_is_no_unit_of_ours(tmp_path: Path, what: str) -> None
     file, content = tmp_path / "kept.fmu", bytes(FOREIGN[what]())
     file.write_bytes(content)
     with pytest.raises(OutputError, match=r"kept\.fmu"):
-        write_fmu(b"unit", file, force=True)
+        write_file(b"unit", file, is_unit, "hexservo export", force=True)
     assert file.read_bytes() == content

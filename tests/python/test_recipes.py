@@ -187,8 +187,6 @@ from hexservo.findings.analysis.scene import scene_of
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["Legs", "analyse"]
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Legs(Part):
@@ -209,8 +207,6 @@ from __future__ import annotations
 from hexservo.findings.analysis.legs import Legs
 from hexservo.findings.analysis.words import numbers
 from hexservo.findings.evidence import Column, Section, Table
-
-__all__ = ["section"]
 
 
 def section(found: Legs) -> Section:
@@ -272,7 +268,7 @@ def test_an_analysis_is_added_by_its_recipe(tree: Path) -> None:
 
 
 CAUSE = """
-    Cause("exposure", "frames that are too rare", "device", _keys("camera.period"), _exposure),"""
+    Cause("exposure", "frames that are too rare", _keys("camera.period"), _exposure),"""
 
 FAULT = """    "exposure": (
         Fault({"camera.period": Choice((0.020, 0.033))}, laws=("hybrid",), cameras=("every_tick",)),

@@ -8,7 +8,7 @@ import pytest
 import hexservo as hs
 from hexservo.run.summary import summary_sentences
 
-BAND, DWELL = 2.0, 0.2  # defaults, docs/model.md section 8
+BAND = 2.0  # default, docs/model.md section 8
 
 
 def settling_time(time: np.ndarray, error: np.ndarray, band: float, dwell: float) -> float:

@@ -22,8 +22,6 @@ else:
     gym = extra("gymnasium", "gymnasium")
     _vector = gym.vector
 
-__all__ = ["HexapodEnv", "HexapodVectorEnv", "gymnasium"]
-
 _FAILURE = 10.0  # cost of a second that a failed run is short of its duration, in those of a second with error e_0
 _DRAWS = 100  # of an episode's start, until one is such that the target is seen
 _SHARE = 0.1  # of a twist error that the velocity servo takes away in a tick

@@ -5,8 +5,6 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
-__all__ = ["extra"]
-
 
 def extra(package: str, name: str) -> Any:
     """Import an optional package.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import os
 import uuid
 import zipfile
 import zlib
@@ -18,7 +17,6 @@ import numpy as np
 from hexservo import _core
 from hexservo.bridges.model_description import UnitVariable, model_description
 from hexservo.run.c_library import c_library
-from hexservo.run.files import write_file
 from hexservo.run.metrics import METRICS, metric_unit
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.flat import flat
@@ -26,8 +24,6 @@ from hexservo.scenario.leg_units import leg_units, unit_of, unit_of_entry
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario, require_scenario
 from hexservo.scenario.version import VERSION
-
-__all__ = ["UnitKind", "fmu", "write_fmu"]
 
 UnitKind = Literal["loop", "plant", "controller"]
 """What a unit computes."""
@@ -112,26 +108,6 @@ def fmu(scenario: Scenario, *, fmi: Literal[2, 3] = 2, what: UnitKind = "loop") 
     )
 
 
-def write_fmu(content: bytes, file: str | os.PathLike[str], *, force: bool = False) -> None:
-    """Write a unit whole, or not at all.
-
-    Parameters
-    ----------
-    content
-        The archive that `fmu` returns.
-    file
-        A name in a folder that exists. A file of that name is kept.
-    force
-        Replace a unit of an earlier export; other files are never replaced.
-
-    Raises
-    ------
-    OutputError
-        The file exists, is not ours, or cannot be written.
-    """
-    write_file(content, file, _is_ours, "hexservo export", force=force)
-
-
 def _packed(files: dict[str, bytes]) -> bytes:
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w") as archive:
@@ -143,7 +119,8 @@ def _packed(files: dict[str, bytes]) -> bytes:
     return packed.getvalue()
 
 
-def _is_ours(path: Path) -> bool:
+def is_unit(path: Path) -> bool:
+    """Recognise a unit that `fmu` made, by its first line of `resources/model.txt`."""
     try:
         with zipfile.ZipFile(path) as archive:
             entry = archive.getinfo("resources/model.txt")

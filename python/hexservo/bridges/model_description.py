@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import re
+import ast
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,8 +11,6 @@ from xml.etree import ElementTree
 
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.version import VERSION
-
-__all__ = ["UnitVariable", "model_description", "si_exponents"]
 
 _FMI2 = {"real": "Real", "whole": "Integer", "flag": "Boolean", "text": "String"}
 _NONE, _ANY = {"dependencies": ""}, dict[str, str]()  # of an output: a tick is between; at first, all parameters
@@ -24,7 +22,6 @@ _SI = {
     "rad": {"rad": 1},
     "N": {"kg": 1, "m": 1, "s": -2},
     "Hz": {"s": -1},
-    "1": {},
 }
 """Units as products of powers of those that FMI has; pixels are not among them."""
 
@@ -104,47 +101,28 @@ def si_exponents(unit: str) -> dict[str, int] | None:
     >>> si_exponents("N/s")
     {'kg': 1, 'm': 1, 's': -3}
     """
-    exponents: Counter[str] = Counter()
-    words = re.findall(r"[A-Za-z]+|\d+|[()/^ ]", unit)
-
-    def take(sign: int) -> bool:
-        """Take a product up to the end or a bracket; behind "/" one factor alone divides."""
-        factor_sign = sign
-        while words and words[0] != ")":
-            word = words.pop(0)
-            if word == " ":
-                continue
-            if word == "/":
-                factor_sign = -sign
-                continue
-            if word == "(":
-                end = _end_of_bracket(words)
-                power = int(words[end + 2]) if words[end + 1 : end + 2] == ["^"] else 1
-                if not take(factor_sign * power):
-                    return False
-                del words[: 1 if power == 1 else 3]
-            else:
-                power = 1
-                if words[:1] == ["^"]:
-                    power = int(words[1])
-                    del words[:2]
-                if word not in _SI:
-                    return False
-                for base, exponent in _SI[word].items():
-                    exponents[base] += factor_sign * power * exponent
-            factor_sign = sign
-        return True
-
-    return {base: power for base, power in exponents.items() if power} if take(1) else None
+    try:
+        tree = ast.parse(unit.replace("^", "**").replace(" ", "*"), mode="eval")
+        exponents = _exponents(tree.body)
+    except (SyntaxError, KeyError):  # no product of powers, or one of other units
+        return None
+    return {base: power for base, power in exponents.items() if power}
 
 
-def _end_of_bracket(words: list[str]) -> int:
-    depth = 1
-    for index, word in enumerate(words):
-        depth += {"(": 1, ")": -1}.get(word, 0)
-        if depth == 0:
-            return index
-    raise ValueError(f"unit: expected a bracket to be closed, got {''.join(words)!r}")
+def _exponents(product: ast.expr) -> Counter[str]:
+    match product:
+        case ast.Name(id=name):
+            return Counter(_SI[name])
+        case ast.Constant(value=1):
+            return Counter()
+        case ast.BinOp(left=base, op=ast.Pow(), right=ast.Constant(value=int(power))):
+            return Counter({name: power * exponent for name, exponent in _exponents(base).items()})
+        case ast.BinOp(left=left, op=ast.Mult() | ast.Div() as operator, right=right):
+            found, sign = _exponents(left), 1 if isinstance(operator, ast.Mult) else -1
+            for name, exponent in _exponents(right).items():
+                found[name] += sign * exponent
+            return found
+    raise KeyError(ast.unparse(product))
 
 
 def _define_units(root: ElementTree.Element, variables: Sequence[UnitVariable]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from typing import Any
 from xml.sax.saxutils import escape
 
@@ -12,15 +11,12 @@ from scipy.spatial.transform import Rotation
 from hexservo import _core
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene, scene_of
-from hexservo.run.files import write_file
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.scenario import Scenario, require_scenario
 from hexservo.scenario.version import VERSION
 
-__all__ = ["mjcf", "write_mjcf"]
-
-_TITLE = "<!-- hexservo MJCF, format 1 -->"
+TITLE = "<!-- hexservo MJCF, format 1 -->"
 """First line of every exported model, which distinguishes it from other files."""
 
 _RESOLUTION = (640.0, 480.0)  # [px], of a camera without a border
@@ -101,7 +97,7 @@ def mjcf(scenario: Scenario) -> str:
         of_base, of_platform = of_platform, of_base
     name = escape(scenario.name, {'"': "&quot;"})
     lines = [
-        _TITLE,
+        TITLE,
         f"<!-- Written by `hexservo export` of hexservo {VERSION}. SI units and radians. World: frame B. -->",
         f'<mujoco model="{name}">',
         '  <compiler angle="radian" autolimits="false"/>',
@@ -146,26 +142,6 @@ def mjcf(scenario: Scenario) -> str:
         "</mujoco>",
     ]
     return "\n".join(lines) + "\n"
-
-
-def write_mjcf(text: str, file: str | os.PathLike[str], *, force: bool = False) -> None:
-    """Write a model whole, or not at all.
-
-    Parameters
-    ----------
-    text
-        What `mjcf` gives.
-    file
-        A name in a folder that exists. A file of that name is kept.
-    force
-        Replace an earlier exported model, recognised by its first line; other files are never replaced.
-
-    Raises
-    ------
-    OutputError
-        The file exists, is not ours, or cannot be written.
-    """
-    write_file(text, file, _TITLE, "hexservo export", force=force)
 
 
 class _Cranks:

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
     from hexservo.findings.analysis.linear_law import LinearPlant, RestPose
 
-__all__ = ["control"]
-
 _AXES = ("x", "y", "z", "rx", "ry", "rz")
 _WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
 _INPUTS = (*(f"wrench_{axis}" for axis in _WRENCH), *(f"base_acceleration_{axis}" for axis in "xyz"))

@@ -18,12 +18,10 @@ from hexservo.campaigns.requirements import without_distance
 from hexservo.campaigns.search_steps import SearchSteps
 from hexservo.campaigns.tune_keys import TunePlan
 from hexservo.campaigns.worst_case import smallest_in_box
-from hexservo.run.variations import known_key, plain_row
+from hexservo.run.variations import changes_of_run
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.scenario import Scenario
-
-__all__ = ["Candidates", "Judged", "ranking"]
 
 _WORST_RUNS = 400  # of a search for the worst case of a candidate
 _WORSE = 1e-3  # a case joins if its margin is smaller by more than this,
@@ -141,7 +139,7 @@ class Candidates:
     def gains(self, place: Array) -> dict[str, Any]:
         """Return the gains of one candidate, for `Scenario.updated`."""
         law = self.plan.scenario.controller.law
-        return {key: plain_row(known_key(key, law), values[0]) for key, values in self.gains_of(place[None]).items()}
+        return changes_of_run(self.gains_of(place[None]), law)
 
     def place_of(self, scenario: Scenario) -> Array:
         """Return the place of a scenario's gains, moved into the ranges; of a group the mean."""

@@ -22,8 +22,6 @@ from hexservo.scenario.arrays import Array
 if TYPE_CHECKING:
     import pyarrow as pa
 
-__all__ = ["Tally", "batch_margins", "chunk_bytes", "chunk_table", "tally_of", "unsealed_chunk"]
-
 _IDENTITY, _SEAL = b"hexservo_chunk", b"hexservo_sha256"
 _BLANK = b"0" * 64  # in place of the digest, while it is computed
 _SEALED = re.compile(re.escape(_SEAL) + rb".{1,4}?(?P<digest>[0-9a-f]{64})", re.DOTALL)

@@ -13,8 +13,6 @@ from scipy.special import exp10, ndtri
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.rules import Flag, Number, did_you_mean, is_number, refusal, shown_value
 
-__all__ = ["SEED", "Variation", "between_ends", "uniform_of"]
-
 SEED = "each"
 """What the key ``seed`` has in place of a distribution: 64 random bits in each run."""
 

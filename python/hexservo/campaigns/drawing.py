@@ -11,14 +11,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from hexservo.campaigns.distributions import SEED, Variation, uniform_of
-from hexservo.run.variations import known_key, plain_row
+from hexservo.run.variations import changes_of_run
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.keys import numeric_keys, value_at
 from hexservo.scenario.leg_units import unit_of, unit_of_entry
 from hexservo.scenario.parameters import units_of_keys
 from hexservo.scenario.scenario import Scenario
-
-__all__ = ["PLACED", "Drawing", "points_of", "with_unit"]
 
 _BLOCK = 4  # numbers of 64 bits that one count of Philox gives
 
@@ -97,7 +95,7 @@ class Drawing:
     def changes(self, run: int) -> dict[str, Any]:
         """Return what a run changes in the scenario, by dotted key, for `Scenario.updated`."""
         drawn = self.variations(self.numbers(run, run + 1))
-        return self.base | {key: plain_row(known_key(key, self._law), values[0]) for key, values in drawn.items()}
+        return self.base | changes_of_run(drawn, self._law)
 
     def _bits(self, first: int, last: int) -> NDArray[np.uint64]:
         """Return the random bits of runs, (n, m)."""

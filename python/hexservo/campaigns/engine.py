@@ -24,8 +24,6 @@ from hexservo.run.publish import OutputError, named
 from hexservo.run.sealed import ResultError
 from hexservo.scenario.wording import above, number, wrong_type
 
-__all__ = ["campaign"]
-
 _SUMMARISED = 5.0  # [s], between two summaries while a campaign runs
 _WATCHED = 0.1  # [s], between two looks at what is computed
 

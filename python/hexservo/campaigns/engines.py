@@ -25,8 +25,6 @@ from hexservo.scenario.yaml import ScenarioError
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["ENGINES", "Chunk", "Engine", "engine_of"]
-
 ENGINES = "local, dask, or the address of a Dask scheduler as tcp://host:port"
 Chunk: TypeAlias = tuple[bytes | None, Tally]
 """A chunk's file, None where it is written already, and its counts."""

@@ -58,9 +58,7 @@ def tried(read: Callable[[Any], T], value: Any, place: str | int, problems: list
 class ScenarioRule(Rule):
     """A scenario by name, path or value."""
 
-    @property
-    def expected(self) -> str:
-        return "a packaged scenario, the path of a file, or the scenario itself"
+    expected = "a packaged scenario, the path of a file, or the scenario itself"
 
     def accept(self, value: Any) -> Scenario:
         if isinstance(value, Scenario):
@@ -76,9 +74,7 @@ class ScenarioRule(Rule):
 class VaryRule(Rule):
     """Distributions by dotted key."""
 
-    @property
-    def expected(self) -> str:
-        return "a block of dotted keys with their variations"
+    expected = "a block of dotted keys with their variations"
 
     def accept(self, value: Any) -> dict[str, Variation]:
         if not isinstance(value, dict) or not value:
@@ -96,9 +92,7 @@ class VaryRule(Rule):
 class RequireRule(Rule):
     """Requirements."""
 
-    @property
-    def expected(self) -> str:
-        return "a list of at least one requirement"
+    expected = "a list of at least one requirement"
 
     def accept(self, value: Any) -> tuple[Requirement, ...]:
         if not isinstance(value, list) or not value:
@@ -117,9 +111,7 @@ class RequireRule(Rule):
 class UntilRule(Rule):
     """When the interval ends a campaign, or null."""
 
-    @property
-    def expected(self) -> str:
-        return "{probability_below: p} or {width_below: w}, a number > 0 and < 1"
+    expected = "{probability_below: p} or {width_below: w}, a number > 0 and < 1"
 
     def accept(self, value: Any) -> Until | None:
         if value is None:
@@ -151,9 +143,7 @@ class OptionalInteger(Integer):
 class VariantRule(Rule):
     """A compiled variant, or null."""
 
-    @property
-    def expected(self) -> str:
-        return "avx512, avx2, baseline or null"
+    expected = "avx512, avx2, baseline or null"
 
     def accept(self, value: Any) -> str | None:
         if value not in ("avx512", "avx2", "baseline", None):
@@ -164,9 +154,7 @@ class VariantRule(Rule):
 class MetricsRule(Rule):
     """Metrics that a campaign keeps of its runs."""
 
-    @property
-    def expected(self) -> str:
-        return "all, or a list of metrics, which hs.METRICS describes"
+    expected = "all, or a list of metrics, which hs.METRICS describes"
 
     def accept(self, value: Any) -> str | tuple[str, ...]:
         if value == "all":
@@ -183,9 +171,7 @@ class MetricsRule(Rule):
 class RecordRule(Rule):
     """What a campaign's folder adds to its file: of use there, and of none elsewhere."""
 
-    @property
-    def expected(self) -> str:
-        return "the block that hexservo wrote"
+    expected = "the block that hexservo wrote"
 
     def accept(self, value: Any) -> None:
         if value is not None and not isinstance(value, dict):

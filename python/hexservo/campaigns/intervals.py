@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.special import betaincinv, betaln, xlog1py, xlogy
-
-__all__ = ["JEFFREYS", "RARE", "Mixture", "anytime_interval", "clopper_pearson", "log_martingale", "runs_for_bound"]
+from scipy.special import betaincinv, betaln
 
 
 @dataclass(frozen=True)
@@ -26,30 +24,14 @@ RARE = Mixture(0.1, 1e4)
 """For failures that are expected once in 1e5 runs or less: narrower there, wider elsewhere."""
 
 
-def log_martingale(probability: Any, failures: Any, runs: Any, mixture: Mixture = JEFFREYS) -> Any:
-    """Return log M_n(p), the mixture martingale of k failures in n runs: the logarithm of
-
-        M_n(p) = B(a + k, b + n - k)/B(a, b) / (p^k (1 - p)^(n - k)).
-
-    For independent runs that fail with the probability p it is a martingale of mean 1, so that it ever reaches 1/alpha
-    with a probability of at most alpha (Ville 1939; Robbins 1970).
-
-    Parameters
-    ----------
-    probability, failures, runs
-        p in [0, 1], k and n, numbers or arrays that broadcast.
-    mixture
-        Beta(a, b), fixed before the first run.
-    """  # noqa: D400 (the formula belongs to the sentence)
-    k, n, p = np.asarray(failures), np.asarray(runs), np.asarray(probability)
-    likelihood = xlogy(k, p) + xlog1py(n - k, -p)
-    return betaln(mixture.a + k, mixture.b + n - k) - betaln(mixture.a, mixture.b) - likelihood
-
-
 def anytime_interval(
     failures: int, runs: int, confidence: float = 0.95, mixture: Mixture = JEFFREYS
 ) -> tuple[float, float]:
     """Return the interval { p : M_n(p) < 1/(1 - confidence) } for the failure probability.
+
+    M_n(p) = B(a + k, b + n - k)/B(a, b) / (p^k (1 - p)^(n - k)) is the mixture martingale: for independent runs that
+    fail with the probability p it is a martingale of mean 1, so that it ever reaches 1/alpha with a probability of at
+    most alpha (Ville 1939; Robbins 1970).
 
     With the probability `confidence` it holds the true one at all numbers of runs at once: also at the one where an
     observer of the results decides to stop (Howard, Ramdas, McAuliffe and Sekhon 2021).
@@ -104,13 +86,11 @@ def clopper_pearson(failures: int, runs: int, confidence: float = 0.95) -> tuple
 
 def runs_for_bound(probability: float, failures: int, confidence: float, mixture: Mixture) -> int:
     """Return the least number of runs with so many failures whose interval lies below a probability."""
-    low, high = failures, max(failures, 1)
-    while anytime_interval(failures, high, confidence, mixture)[1] > probability:
-        low, high = high, 2 * high
-    while high - low > 1:
-        middle = (low + high) // 2
-        if anytime_interval(failures, middle, confidence, mixture)[1] > probability:
-            low = middle
-        else:
-            high = middle
-    return high
+    least = high = max(failures, 1)
+
+    def below(runs: int) -> bool:
+        return anytime_interval(failures, runs, confidence, mixture)[1] <= probability
+
+    while not below(high):
+        high *= 2
+    return bisect_left(range(high), True, lo=max(least, high // 2), key=below)

@@ -12,8 +12,6 @@ from hexservo.campaigns.plan import CampaignPlan
 from hexservo.run.batch import BatchResult, simulate_batch, whole
 from hexservo.scenario.arrays import Array
 
-__all__ = ["Judge"]
-
 
 class Judge:
     """Runs what a campaign may draw, and judges each run against its requirements; counts the runs.
@@ -52,9 +50,7 @@ class Judge:
         self.runs += len(batch)
         return batch_margins(batch, numbers, self.plan.require), batch
 
-    def smallest_margins(
-        self, numbers: Mapping[str, NDArray[Any]], gains: Mapping[str, NDArray[Any]] | None = None
-    ) -> Array:
-        """Return the smallest margin of each run, (n,); arguments and errors as for `judged`."""
-        smallest: Array = self.judged(numbers, gains)[0].min(axis=1)
+    def smallest_margins(self, numbers: Mapping[str, NDArray[Any]]) -> Array:
+        """Return the smallest margin of each run, (n,); argument and errors as for `judged`."""
+        smallest: Array = self.judged(numbers)[0].min(axis=1)
         return smallest

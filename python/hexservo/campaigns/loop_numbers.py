@@ -11,8 +11,6 @@ from hexservo.scenario.scenario import Scenario
 if TYPE_CHECKING:
     from hexservo.findings.analysis.camera_rate import CameraRate
 
-__all__ = ["LOOP_NUMBERS", "decay_rate", "delay_margin"]
-
 
 def decay_rate(scenario: Scenario) -> float:
     """Return the rate at which the slowest mode of the linear loop decays [1/s]; negative if a mode grows.

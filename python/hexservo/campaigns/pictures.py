@@ -16,8 +16,6 @@ from hexservo.run.metrics import metric_unit
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.wording import above, below
 
-__all__ = ["campaign_sections", "influential"]
-
 _PAGE = "docs/campaigns.md"
 _POINTS = 60  # of the interval over the runs
 _QUANTILES = 400  # of a distribution
@@ -44,8 +42,8 @@ def campaign_sections(result: CampaignResult) -> list[Section]:
     return found
 
 
-def influential(result: CampaignResult, count: int = 2) -> list[tuple[str, float]]:
-    """Return the varied numbers that the margin depends on most, with the size of their rank correlation.
+def influential(result: CampaignResult) -> list[tuple[str, float]]:
+    """Return the two varied numbers that the margin depends on most, with the size of their rank correlation.
 
     Of each number the correlation with its value and with its distance from the median is taken, and the larger one
     counts: an error may matter whatever its sign. Of entries that are one number the first is named; seeds are left
@@ -63,7 +61,7 @@ def influential(result: CampaignResult, count: int = 2) -> list[tuple[str, float
             continue  # one number for all entries, or the other half of a symmetric matrix
         seen.add(digest)
         sizes[name] = max(_correlation(ranks, part) for part in (values, np.abs(values - np.median(values))))
-    return sorted(sizes.items(), key=lambda item: -item[1])[:count]
+    return sorted(sizes.items(), key=lambda item: -item[1])[:2]
 
 
 def _correlation(ranks: Array, values: Array) -> float:

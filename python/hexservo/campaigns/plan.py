@@ -35,7 +35,7 @@ from hexservo.campaigns.tune_keys import TunePlan, TuneRule, Variable
 from hexservo.findings.check import needed_by
 from hexservo.run.metrics import asked_metrics
 from hexservo.run.variant import ENVIRONMENT_VARIABLE, VariantError, available_variants, chosen_kernel
-from hexservo.run.variations import checked_variations, known_key, plain_row
+from hexservo.run.variations import changes_of_run, checked_variations, known_key
 from hexservo.scenario.block import Block
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.plain import dotted, plain
@@ -44,8 +44,6 @@ from hexservo.scenario.rules import Flag, Integer, refusal, shown_value
 from hexservo.scenario.scenario import Document, Scenario, load_scenario, scenario_names
 from hexservo.scenario.wording import wrong_type
 from hexservo.scenario.yaml import ScenarioError, dump_yaml, read_yaml
-
-__all__ = ["CampaignPlan", "campaign_names", "load_plan"]
 
 MAX_RUNS = 10**12
 CHUNK_SIZE = 5000
@@ -268,7 +266,7 @@ def _at_the_ends(plan: CampaignPlan) -> Iterator[Scenario]:
     single = {} if plan.tune is None else plan.tune.variables
     for end in (0, 1):
         drawn = drawing.variations(drawing.numbers_at(np.full((1, drawing.dimension), float(end)), 0))
-        changes = {key: plain_row(known_key(key, law), values[0]) for key, values in drawn.items()}
+        changes = changes_of_run(drawn, law)
         changes |= {key: one.variation.box[end] for key, one in single.items() if one.groups == (0,)}
         with contextlib.suppress(ValueError):
             yield plan.scenario.updated(drawing.base).updated(changes)

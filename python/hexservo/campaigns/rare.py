@@ -20,8 +20,6 @@ from hexservo.findings.evidence import Cell, Column, Section, Table
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.wording import number, whole_number
 
-__all__ = ["Levels", "RareFailures", "estimate_rare_failures", "subset_simulation"]
-
 _SHARE = 0.1  # of the samples of a level that begin the chains of the next one
 _MOST_LEVELS = 30
 _FEWEST_CHAINS = 10

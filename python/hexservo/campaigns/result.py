@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
     from hexservo.findings.evidence import Section
 
-__all__ = ["CampaignResult", "WorstRun", "load_campaign"]
-
 
 @dataclass(frozen=True)
 class WorstRun:

@@ -23,8 +23,6 @@ from hexservo.run.metrics import METRICS
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.wording import whole_number
 
-__all__ = ["Indices", "Sensitivity", "sensitivity", "sobol_indices"]
-
 _SHOWN = 10  # inputs of a table
 _RESAMPLES = 200  # of the bootstrap
 

@@ -124,7 +124,7 @@ class Store:
     def _begin(self) -> None:
         plan = self.folder / PLAN
         if plan.exists():
-            self._take_up(plan)
+            self._take_up()
         elif not all(entry.name.endswith(_PART) for entry in self.folder.iterdir()):
             raise OutputError(
                 f"{named(self.folder)}: expected a new folder or that of a campaign, got one with other files"
@@ -136,7 +136,7 @@ class Store:
         for folder in (self.folder, self.folder / "chunks"):
             remove_drafts(folder)
 
-    def _take_up(self, path: Path) -> None:
+    def _take_up(self) -> None:
         """Check that the folder's campaign is this one, and keep its record."""
         there, record = read_plan(self.folder)
         self.plan.changed(variant=record["variant"]).required_variant()

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from hexservo.campaigns.candidates import Candidates, Judged, ranking
 from hexservo.scenario.arrays import Array
 
-__all__ = ["best_candidate", "front_of", "not_dominated", "relax"]
-
 _SIGMA = 0.25  # first spread of the candidates, in parts of the ranges
 _FINALISTS = 6  # candidates that are compared at the end of a round, with the same noise
 _POPULATION = 48  # of a front

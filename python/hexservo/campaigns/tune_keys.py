@@ -58,9 +58,7 @@ class TunePlan:
 class TuneRule(Rule):
     """What a search for gains varies, or null."""
 
-    @property
-    def expected(self) -> str:
-        return "a block with variables and, optionally, minimise, subject_to and over"
+    expected = "a block with variables and, optionally, minimise, subject_to and over"
 
     def accept(self, value: Any) -> TunePlan | None:
         if value is None:

@@ -13,12 +13,10 @@ import numpy as np
 from hexservo.campaigns.requirements import Requirement
 from hexservo.campaigns.result import CampaignResult
 from hexservo.findings.display import Findings
-from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict
+from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict, picked
 from hexservo.run.metrics import metric_unit
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number
-
-__all__ = ["Edge", "FrontPoint", "Generation", "Relaxation", "TuneResult"]
 
 _PAGE = "docs/tune.md"
 
@@ -221,12 +219,7 @@ class TuneResult(Findings):
             "relaxed_gains": {str(one.requirement): dict(one.gains) for one in self.relaxations},
             "relaxed_failures": {str(one.requirement): [one.failures, one.runs] for one in self.relaxations},
             "front": [[*point.values, *point.held_out, point.failures] for point in self.front],
-            "settled": self.settled,
-            "worst_margin": self.worst_margin,
-            "variations": self.variations,
-            "joined": self.joined,
-            "runs": self.runs,
-            "seed": self.seed,
+            **picked(self, "settled worst_margin variations joined runs seed"),
             "history": [
                 [each.round, each.runs, each.margin, each.feasible, *each.lowest, each.variations]
                 for each in self.history

@@ -32,8 +32,6 @@ from hexservo.run.variations import columns_of, known_key
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.wording import whole_number
 
-__all__ = ["tune"]
-
 _HELD_OUT = "held-out"
 _TUNED = "tuned.yaml"
 _FRONT = "front.csv"

@@ -7,8 +7,6 @@ from typing import Any
 from hexservo.findings.evidence import Cell, Column, Section, Table, Verdict
 from hexservo.scenario.wording import above, below, number
 
-__all__ = ["summary_section", "verdict_sentences"]
-
 _PAGE = "docs/campaigns.md"
 _OF_EACH = ("failures", "from", "to")
 _OFTEN = 0.5  # failure probability above which a campaign without a goal for it is bad,

@@ -16,16 +16,14 @@ from hexservo.campaigns.store import write_text
 from hexservo.findings.diagnosis import diagnose
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Cell, Column, Section, Table
-from hexservo.run.simulation import simulate
-from hexservo.run.variations import known_key, plain_row
+from hexservo.run.simulation import simulate, uninterrupted
+from hexservo.run.variations import changes_of_run
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number, whole_number, wrong_type
 
 if TYPE_CHECKING:
     from hexservo.findings.diagnosis import Diagnosis
-
-__all__ = ["WorstCase", "smallest_in_box", "worst_case"]
 
 CASE = "worst-case.yaml"
 _POPULATION = 12  # candidates of a generation, at least
@@ -142,7 +140,7 @@ def worst_case(
     margin, place, start = min(found, key=lambda one: one[0])
     law = judge.base.controller.law
     drawn = drawing.variations(drawing.numbers_at(place[None], start))
-    changes = drawing.base | {key: plain_row(known_key(key, law), values[0]) for key, values in drawn.items()}
+    changes = drawing.base | changes_of_run(drawn, law)
     scenario = plan.scenario.updated(changes)
     write_text(result.folder / CASE, scenario.to_yaml())
     return WorstCase(
@@ -159,10 +157,7 @@ def worst_case(
 
 
 def _diagnosed(scenario: Scenario) -> Diagnosis:
-    run = simulate(scenario)
-    if run.outcome == "interrupted":
-        raise KeyboardInterrupt
-    return diagnose(run)
+    return diagnose(uninterrupted(simulate(scenario)))
 
 
 def smallest_in_box(

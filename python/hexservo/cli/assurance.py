@@ -18,6 +18,7 @@ from hexservo.cli.terminal import (
     changes_of,
     complain,
     errors_as_messages,
+    refusals,
     show_parts,
     spell_time,
 )
@@ -26,8 +27,6 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from hexservo.findings.evidence import Section
-
-__all__ = ["campaign", "tune"]
 
 _LONGEST_COMMAND = 400  # characters that are printed; a longer one has arrays, and the file holds them too
 NOT_FEASIBLE = 1
@@ -86,12 +85,10 @@ def campaign(
     the worst runs.
     """
     with errors_as_messages():
-        from hexservo.run.publish import OutputError
-
         changes = changes_of(settings or [])
         watched = sys.stderr is not None and sys.stderr.isatty() and not quiet
         started = time.perf_counter()
-        try:
+        with refusals():  # of an option, as the number of threads
             result = hs.campaign(
                 file,
                 out,
@@ -104,10 +101,6 @@ def campaign(
                 progress=watched,
                 warn=lambda sentence: complain(sentence, head="Warning"),
             )
-        except (hs.ScenarioError, hs.ResultError, OutputError):
-            raise
-        except ValueError as error:  # of an option, as the number of threads
-            raise hs.ScenarioError(str(error).splitlines()) from error
         if not quiet:
             show_parts(*_report(result, out, time.perf_counter() - started))
         more = []
@@ -117,12 +110,8 @@ def campaign(
             complain(f"{len(result)}{of} runs are kept; the same command goes on", head="Interrupted")
             raise typer.Exit(INTERRUPTED)
         if worst:
-            try:
+            with refusals():  # nothing but seeds varies
                 case = hs.worst_case(result, threads=threads)
-            except OutputError:
-                raise
-            except ValueError as error:  # nothing but seeds varies
-                raise hs.ScenarioError(str(error).splitlines()) from error
             more.append(case.section())
             if not quiet:
                 command = f"hexservo run {shlex.quote(str(case.path))}"
@@ -171,28 +160,24 @@ def tune(
     """
     with errors_as_messages():
         from hexservo.campaigns.plan import load_plan
-        from hexservo.run.publish import OutputError
 
         plan = load_plan(file, changes_of(settings or []))
         watched = sys.stderr is not None and sys.stderr.isatty() and not quiet
         try:
-            found = hs.tune(
-                plan,
-                out,
-                generations=generations,
-                rounds=rounds,
-                seed=seed,
-                threads=threads,
-                progress=watched,
-                warn=lambda sentence: complain(sentence, head="Warning"),
-            )
+            with refusals(file):
+                found = hs.tune(
+                    plan,
+                    out,
+                    generations=generations,
+                    rounds=rounds,
+                    seed=seed,
+                    threads=threads,
+                    progress=watched,
+                    warn=lambda sentence: complain(sentence, head="Warning"),
+                )
         except KeyboardInterrupt:
             complain("what was simulated is kept; the same command goes on", head="Interrupted")
             raise typer.Exit(INTERRUPTED) from None
-        except (hs.ScenarioError, OutputError):
-            raise
-        except ValueError as error:
-            raise hs.ScenarioError(str(error).splitlines(), file) from error
         if not quiet:
             show_parts(*printed([found.section()]), "", f"the gains: hexservo run {shlex.quote(str(found.path))}")
         if found.held_out is not None:

@@ -12,8 +12,6 @@ from hexservo.scenario.wording import quantity
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-__all__ = ["report", "spell", "write_benchmark"]
-
 
 def write_benchmark(result: Benchmark, folder: Path) -> None:
     """Write bench.json and the picture, bench.png and bench.svg, into an existing folder."""

@@ -32,6 +32,7 @@ from hexservo.cli.terminal import (
     errors_as_messages,
     expanded,
     load,
+    refusals,
     show_parts,
     spell_time,
     split,
@@ -42,8 +43,6 @@ from hexservo.scenario.laws import LAWS
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
-
-__all__ = ["app", "main"]
 
 _ALL = "all"  # laws that the core has for any machine, and those that a scenario has
 _GAP = 2  # between two columns of a table
@@ -110,10 +109,8 @@ def run(
         if out is not None:
             check_folder(out, force=force)
         started = time.perf_counter()
-        try:
+        with refusals(chosen.name):
             result = hs.simulate(chosen)
-        except ValueError as error:
-            raise hs.ScenarioError(str(error).splitlines(), chosen.name) from error
         elapsed = time.perf_counter() - started
         failure = None
         kept = out is not None and result.outcome == "interrupted" and has_results(out)
@@ -178,10 +175,8 @@ def compare(
             if out is not None:
                 check_folder(out, force=force)
             started = time.perf_counter()
-            try:
+            with refusals():  # of the choice, as an unknown law
                 comparison = hs.compare(chosen, chosen_laws, progress=watched)
-            except ValueError as error:  # of the choice, as an unknown law
-                raise hs.ScenarioError(str(error).splitlines()) from error
         except KeyboardInterrupt:  # before the first run
             complain(f"0 of {len(names) * len(chosen_laws or LAWS)} runs were finished", head="Interrupted")
             raise typer.Exit(INTERRUPTED) from None

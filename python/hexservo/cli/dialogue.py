@@ -10,8 +10,6 @@ from typing import Any
 import hexservo as hs
 from hexservo.cli.terminal import complain, write
 
-__all__ = ["Check", "Dialogue"]
-
 Check = Callable[[Any], str | None]
 _FARTHEST = 1e5  # magnitude of one of several numbers, where no other bound is given
 

@@ -19,23 +19,11 @@ from hexservo.cli.terminal import (
     ending,
     errors_as_messages,
     load,
+    refusals,
     show_parts,
     spell_time,
     write,
 )
-
-__all__ = [
-    "STANDARD_OUTPUT",
-    "ForceOption",
-    "JsonOption",
-    "analyse",
-    "certify",
-    "check_json",
-    "diagnose",
-    "identified",
-    "report",
-    "write_json",
-]
 
 STANDARD_OUTPUT = "-"  # in place of a file
 _RunArgument = Annotated[
@@ -140,10 +128,8 @@ def _judge(
             of: Any = _run(model.scenario)
         else:
             of = _scenario(run, settings or []) if source.of_scenario else _result(run, settings or [], camera)
-        try:
+        with refusals():  # for a run or scenario to which it does not apply
             found = source.find(of)
-        except ValueError as error:  # for a run or scenario to which it does not apply
-            raise hs.ScenarioError(str(error).splitlines()) from error
         if json is not None:
             write_json(name, found.to_dict(), json, force)
         if json != STANDARD_OUTPUT:
@@ -163,13 +149,10 @@ def _result(run: str, settings: list[str], camera: str | None = None) -> hs.Resu
 
 
 def _run(scenario: hs.Scenario) -> hs.Result:
-    try:
-        result = _simulated(scenario)
-    except ValueError as error:
-        raise hs.ScenarioError(str(error).splitlines(), scenario.name) from error
-    if result.outcome == "interrupted":
-        raise KeyboardInterrupt
-    return result
+    from hexservo.run.simulation import uninterrupted
+
+    with refusals(scenario.name):
+        return uninterrupted(_simulated(scenario))
 
 
 def _simulated(scenario: hs.Scenario) -> hs.Result:

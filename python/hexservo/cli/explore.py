@@ -10,8 +10,6 @@ import typer
 import hexservo as hs
 from hexservo.cli.terminal import BAD_INPUT, SettingsOption, complain, errors_as_messages, load, write
 
-__all__ = ["explore"]
-
 
 def explore(
     scenario: Annotated[
@@ -33,7 +31,8 @@ def explore(
     The page is one HTML file that runs the core itself; it needs no network and no server.
     """
     with errors_as_messages():
-        from hexservo.report.explorer import ExplorerError, write_explorer
+        from hexservo.report.explorer import TITLE, ExplorerError, explorer_page
+        from hexservo.run.files import write_file
 
         packaged = scenario in hs.scenario_names() and not settings
         chosen = scenario if packaged else load(scenario, settings or [])
@@ -42,7 +41,7 @@ def explore(
 
             out = str(Path(tempfile.mkdtemp(prefix="hexservo-")) / "explorer.html")
         try:
-            write_explorer(chosen, out, force=force)
+            write_file(explorer_page(chosen), out, TITLE, "hexservo explore", force=force)
         except ExplorerError as error:
             complain(str(error))
             raise typer.Exit(BAD_INPUT) from None

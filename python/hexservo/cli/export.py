@@ -11,7 +11,7 @@ import typer
 import hexservo as hs
 from hexservo.cli.terminal import ScenarioArgument, SettingsOption, errors_as_messages, load, write
 
-__all__ = ["export"]
+_AUTHOR = "hexservo export"
 
 
 def export(
@@ -51,7 +51,7 @@ def export(
         given = [name for name, value in files.items() if value is not None]
         if len(given) != 1:
             listed = " and ".join(given) or "none of them"
-            raise hs.ScenarioError([f"expected one of {', '.join(files)}, got {listed}"], "hexservo export")
+            raise hs.ScenarioError([f"expected one of {', '.join(files)}, got {listed}"], _AUTHOR)
         for option, value, owner in (
             ("--period", period, "--header"),
             ("--fmi", fmi, "--fmu"),
@@ -78,29 +78,32 @@ def _refusals() -> Iterator[None]:
 
 
 def _header(scenario: hs.Scenario, file: str, period: float | None, force: bool) -> str:
-    from hexservo.run.export import gains_header, robot_notes, write_header
+    from hexservo.run.export import TITLE, gains_header, robot_notes
+    from hexservo.run.files import write_file
 
     with _refusals():
         text = gains_header(scenario, period)
-    write_header(text, file, force=force)
+    write_file(text, file, TITLE, _AUTHOR, force=force)
     ticks = scenario.simulation.step if period is None else period
     notes = "".join(f"Note: {note}.\n" for note in robot_notes(scenario))
     return f'{file}: gains of the scenario "{scenario.name}" for a period of {ticks * 1e3:.6g} ms\n{notes}'
 
 
 def _mjcf(scenario: hs.Scenario, file: str, force: bool) -> str:
-    from hexservo.bridges.mujoco_model import mjcf, write_mjcf
+    from hexservo.bridges.mujoco_model import TITLE, mjcf
+    from hexservo.run.files import write_file
 
     with _refusals():
         text = mjcf(scenario)
-    write_mjcf(text, file, force=force)
+    write_file(text, file, TITLE, _AUTHOR, force=force)
     return f'{file}: machine, camera and target of the scenario "{scenario.name}" for MuJoCo\n'
 
 
 def _fmu(scenario: hs.Scenario, file: str, fmi: int, what: str, force: bool) -> str:
-    from hexservo.bridges.fmi import fmu, write_fmu
+    from hexservo.bridges.fmi import fmu, is_unit
+    from hexservo.run.files import write_file
 
     with _refusals():
         content = fmu(scenario, fmi=fmi, what=what)  # type: ignore[arg-type]
-    write_fmu(content, file, force=force)
+    write_file(content, file, is_unit, _AUTHOR, force=force)
     return f'{file}: {what} of the scenario "{scenario.name}" as a unit of FMI {fmi}.0\n'

@@ -9,8 +9,6 @@ import typer
 from hexservo.cli.evidence import STANDARD_OUTPUT, ForceOption, JsonOption, check_json, identified, write_json
 from hexservo.cli.terminal import SettingsOption, errors_as_messages, show_parts, write
 
-__all__ = ["identify"]
-
 _TITLE = "# A scenario by `hexservo identify`"
 
 

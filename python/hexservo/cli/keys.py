@@ -9,8 +9,6 @@ import typer
 
 from hexservo.cli.terminal import errors_as_messages, show_parts, write
 
-__all__ = ["schema"]
-
 
 def schema(
     as_json: Annotated[bool, typer.Option("--json", help="All of it as JSON, for other programs.")] = False,

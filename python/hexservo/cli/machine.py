@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
     from hexservo.findings.analysis.workspace import Reach
 
-__all__ = ["new"]
-
 _TITLE = "# Made by `hexservo new --machine`."
 _DEGREE = math.pi / 180.0
 _TICKS = 150  # servo periods in one of the bandwidth, at least: more than `hexservo check` asks for

@@ -13,8 +13,6 @@ from hexservo.run.files import write_folder
 if TYPE_CHECKING:
     from hexservo.run.result import Result
 
-__all__ = ["write_results"]
-
 
 def write_results(result: Result, folder: str | os.PathLike[str], *, force: bool = False) -> Path:
     """Write a run into a folder: scenario.yaml, metrics.json, result.nc, the paper's figures and a marker.

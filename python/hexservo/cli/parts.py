@@ -11,8 +11,6 @@ from hexservo.scenario.blocks import Blocks, Camera, Robot
 from hexservo.scenario.parameters import Settings, core_settings
 from hexservo.scenario.yaml import ScenarioError
 
-__all__ = ["require_hold", "shows_middle"]
-
 _UNASKED = {"mass": 1.0, "inertia": [1.0, 1.0, 1.0], "stroke": 1.0, "force_limit": 1.0}  # keys that a robot must have
 _CORNERS = np.array([[-1.0, 1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]])
 

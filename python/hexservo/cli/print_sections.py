@@ -12,8 +12,6 @@ from hexservo.findings.wording import VERDICTS, cell_text, numeric_columns
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-__all__ = ["printed"]
-
 _STYLES = {"good": "green", "warning": "yellow", "bad": "bold red", "open": "dim"}
 
 

@@ -19,31 +19,6 @@ if TYPE_CHECKING:
 
     from hexservo.scenario.scenario import Document
 
-__all__ = [
-    "BAD_INPUT",
-    "ENDED_EARLY",
-    "INTERRUPTED",
-    "NOT_SETTLED",
-    "READER_LEFT",
-    "CameraOption",
-    "ForceOption",
-    "RequireSettledOption",
-    "ScenarioArgument",
-    "SettingsOption",
-    "changes_of",
-    "complain",
-    "ending",
-    "errors_as_messages",
-    "expanded",
-    "load",
-    "show_parts",
-    "spell_time",
-    "split",
-    "whisper",
-    "width",
-    "write",
-]
-
 BAD_INPUT = 2
 ENDED_EARLY = 3
 NOT_SETTLED = 4
@@ -199,6 +174,19 @@ def errors_as_messages() -> Iterator[None]:
     except KeyboardInterrupt:
         complain("no further files were written", head="Interrupted")
         raise typer.Exit(INTERRUPTED) from None
+
+
+@contextlib.contextmanager
+def refusals(source: str | None = None) -> Iterator[None]:
+    """Convert a ValueError, as of an option, to bad input of a source; what already is one of the messages stays."""
+    from hexservo.run.publish import OutputError
+
+    try:
+        yield
+    except (hs.ScenarioError, hs.ResultError, OutputError):
+        raise
+    except ValueError as error:
+        raise hs.ScenarioError(str(error).splitlines(), source) from error
 
 
 def ending(result: hs.Result) -> str:

@@ -13,8 +13,6 @@ from hexservo.run.metrics import metric_unit
 if TYPE_CHECKING:
     from hexservo.run.batch import BatchResult
 
-__all__ = ["batch_figure", "drawn_metrics"]
-
 _FIRST = ("settling_time", "final_error")  # those that are drawn, where they were measured
 
 

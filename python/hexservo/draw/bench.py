@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
     from hexservo.run.bench import Distribution, TickTiming
 
-__all__ = ["tick_figure"]
-
 _RATE_INKS = (Ink(BLACK), Ink(BLUE), Ink(VERMILION, DASHED), Ink(GREEN, DASH_DOT), Ink(ORANGE, (0, (1, 1))))
 _LAW_INKS = (*_RATE_INKS, Ink(PURPLE, DASHED))
 

@@ -35,8 +35,6 @@ from hexservo.run.comparison import Comparison, ComparisonRow
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["comparison_figure"]
-
 # Distinguishable with every kind of colour vision; in grey, dashes and markers distinguish the laws.
 _INKS = (
     Ink(BLUE),

@@ -12,8 +12,6 @@ from hexservo.findings.evidence import Bars, Curves, HeatMap, Line
 from hexservo.run.samples import extreme_samples
 from hexservo.scenario.arrays import Array
 
-__all__ = ["item_figure"]
-
 _INKS = (BLUE, VERMILION, GREEN, BLACK, PURPLE, ORANGE, GREY)
 _STYLES = {"line": "-", "dashed": "--", "points": ""}
 

@@ -17,8 +17,6 @@ from hexservo.run.result import Result, require_result
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["leg_limits"]
-
 _HEIGHT, _STEP = 1.3, 1.53  # of a panel, and from one to the next [in]
 _BOTTOM, _TOP = 0.48, 0.29
 

@@ -9,8 +9,6 @@ from hexservo.draw.plots import paper_images
 from hexservo.run.files import check_folder, write_folder
 from hexservo.run.result import Result, require_result
 
-__all__ = ["paper_figures"]
-
 
 def paper_figures(result: Result, folder: str | os.PathLike[str], *, force: bool = False) -> list[Path]:
     """Write figures 2(a), 2(b), 3, 4 and 5 as SVG and PNG (200 dpi) into a folder, which is created if necessary.

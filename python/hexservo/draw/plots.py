@@ -76,15 +76,6 @@ from hexservo.scenario.scenario import Scenario, require_scenario
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = [
-    "control_wrench",
-    "feature_errors",
-    "feature_paths",
-    "paper_images",
-    "platform_motion",
-    "rule_table",
-]
-
 _AXES_INKS = (Ink(BLUE), Ink(VERMILION, DASHED), Ink(GREEN, DASH_DOT))
 _POINT_COLOURS = (BLUE, VERMILION, GREEN, BLACK, PURPLE, ORANGE)
 _MOST_LABELS = 14  # of lines beside the feature errors: as many as stand apart

@@ -12,8 +12,6 @@ from typing import Any, NamedTuple, ParamSpec, TypeVar
 import matplotlib
 from matplotlib.figure import Figure
 
-__all__ = []
-
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
 COLUMN, PAGE = 3.5, 7.16  # widths of a figure in a two-column paper [in]

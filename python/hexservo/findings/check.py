@@ -29,8 +29,6 @@ from hexservo.scenario.presets import ROBOT_PRESETS
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number, quantity
 
-__all__ = ["keys_without_effect", "needed_by", "unlikely"]
-
 _FEWEST = 3  # points that a law can regulate
 _OFF_CENTRE = 0.15  # of the image, most that the principal point of a usual lens is off its centre
 # [m/s^2], of a base's recording: a vehicle that is at rest before and after has a mean of zero, and gravity is 9.8

@@ -19,8 +19,6 @@ from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number, quantity
 
-__all__ = ["image_delay", "of_gains", "share_of_prior", "slow_share", "start_forces", "turning_share"]
-
 _OF_SERVO_RATE = 0.25  # share of it that a bandwidth may have
 _OF_RUN = 0.1  # periods of the bandwidth that a run must have at least
 _SLOW = 0.5  # of the bandwidth: motions below it are slow

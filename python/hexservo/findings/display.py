@@ -12,8 +12,6 @@ from hexservo.run.drawn import html_of
 if TYPE_CHECKING:
     from hexservo.findings.evidence import Section
 
-__all__ = ["Findings"]
-
 
 class Findings:
     """Base of classes with ``section()`` or ``sections()``, from which text and HTML are made."""

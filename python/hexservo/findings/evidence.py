@@ -14,21 +14,6 @@ import numpy as np
 
 from hexservo.scenario.arrays import Array
 
-__all__ = [
-    "Bars",
-    "Cell",
-    "Column",
-    "Curves",
-    "HeatMap",
-    "Item",
-    "Line",
-    "Section",
-    "Share",
-    "Table",
-    "Verdict",
-    "as_data",
-]
-
 Cell: TypeAlias = str | float | int | bool | None
 """Cell of a table: a number is in the unit of its column; None if there is no value."""
 
@@ -143,6 +128,11 @@ class Section:
     items: Sequence[Item] = ()
     verdict: Verdict = "open"
     data: dict[str, Any] = field(default_factory=dict)  # the findings as numbers, in SI units and pixels, for programs
+
+
+def picked(thing: Any, names: str) -> dict[str, Any]:
+    """Return attributes by their names, which blanks separate."""
+    return {name: getattr(thing, name) for name in names.split()}
 
 
 def as_data(value: Any) -> Any:

@@ -14,8 +14,6 @@ from hexservo import _core
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario, require_scenario
 
-__all__ = ["feedback_margin", "integral_margin"]
-
 # Angles up to that of half the servo rate, between which a crossing of the real axis is looked for: as many evenly, and
 # evenly in the logarithm from a share of the slowest rate in the loop on, below which there is none.
 _GRID = 4096

@@ -11,8 +11,6 @@ from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene
 from hexservo.scenario.arrays import Array
 
-__all__ = ["distance", "nearest_within"]
-
 _ON_THE_EDGE = 1e-9  # of the stroke: a nearest pose may be so far beyond it
 _LEVER = 1e-5  # least lever arm over crank: where rods are too long or short by its square a crank no longer closes
 _INDEPENDENCE = 1e-9  # least determinant of the rods over that at home, whose sign counts

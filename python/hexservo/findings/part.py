@@ -7,8 +7,6 @@ from importlib import import_module
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Section
 
-__all__ = ["Part"]
-
 
 class Part(Findings):
     """Base of findings as numbers. The module of the class imports nothing that makes sentences."""

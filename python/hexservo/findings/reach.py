@@ -15,8 +15,6 @@ from hexservo.scenario.arrays import Array, real_numbers
 from hexservo.scenario.pixels import to_pixels
 from hexservo.scenario.scenario import Scenario, require_scenario
 
-__all__ = ["Reachability", "project", "reachable"]
-
 _LARGEST = 1e6  # [m; rad], of a displacement: squares of much larger ones have no value
 
 

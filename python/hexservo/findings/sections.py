@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from hexservo.findings.evidence import Section
     from hexservo.run.result import Result
 
-__all__ = ["SOURCES", "Group", "Source", "groups"]
-
 
 @dataclass(frozen=True)
 class Source:

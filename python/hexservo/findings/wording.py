@@ -9,8 +9,6 @@ from collections.abc import Sequence
 from hexservo.findings.evidence import Cell, Column, Table
 from hexservo.scenario.wording import number
 
-__all__ = ["VERDICTS", "cell_text", "numeric_columns"]
-
 VERDICTS = {"good": "good", "warning": "warning", "bad": "bad", "open": "not applicable"}
 """Text of a section's verdict."""
 

@@ -18,23 +18,6 @@ from hexservo.report.html import Html, element, json_script, paragraphs
 from hexservo.run.samples import extreme_samples
 from hexservo.scenario.arrays import Array
 
-__all__ = [
-    "LINE_COLOURS",
-    "MOST",
-    "TOLERANCE",
-    "Spec",
-    "axes",
-    "bars",
-    "chart",
-    "curves",
-    "encoded",
-    "heat_map",
-    "label",
-    "needed",
-    "thinned",
-    "trace",
-]
-
 Spec: TypeAlias = dict[str, Any]
 """``data`` and ``layout`` of a chart, as plotly.js has them."""
 

@@ -15,8 +15,6 @@ from hexservo.report.html import Html, element
 if TYPE_CHECKING:
     from markdown_it.token import Token
 
-__all__ = ["anchor_of", "is_page", "page_html"]
-
 _FOLDER = "docs"
 
 

@@ -9,8 +9,6 @@ from hexservo.findings.wording import VERDICTS, cell_text, numeric_columns
 from hexservo.report.charts import bars, curves, explained, heat_map
 from hexservo.report.html import Html, element, paragraphs
 
-__all__ = ["badge", "item_html", "section_html", "table_html"]
-
 _SHORT = 22  # characters of a cell that is not broken into lines
 _LONG = 60  # characters from which on a cell's column is made wide
 _PHONE = 44  # characters of a row that fit a phone: a wider table becomes a list of its cells there

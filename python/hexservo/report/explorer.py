@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import re
 from importlib import resources
 
-from hexservo.run.files import write_file
 from hexservo.run.metrics import METRICS
 from hexservo.scenario.flat import core_values
 from hexservo.scenario.scenario import Scenario, scenario_names
 from hexservo.scenario.schema import schema
 from hexservo.scenario.version import VERSION
 
-__all__ = ["ExplorerError", "built_for", "checked_page", "explorer_page", "write_explorer"]
-
-_TITLE = "<!doctype html><!-- hexservo explorer, format 1 -->"
+TITLE = "<!doctype html><!-- hexservo explorer, format 1 -->"
 _BUILT_FOR = re.compile(r'<meta name="hexservo" content="([^"]*)">')
 _PLACE = '<script type="application/json" id="own">null</script>'
 
@@ -82,23 +78,3 @@ def explorer_page(scenario: Scenario | str = "paper") -> str:
         own = {"start": name, "preset": preset}
     text = json.dumps(own, allow_nan=False).replace("<", "\\u003c")
     return page.replace(_PLACE, _PLACE.replace("null", text), 1)
-
-
-def write_explorer(scenario: Scenario | str, file: str | os.PathLike[str], *, force: bool = False) -> None:
-    """Write the page whole, or not at all.
-
-    Parameters
-    ----------
-    scenario
-        As for `explorer_page`; so are the exceptions.
-    file
-        A name in a folder that exists. A file of that name is kept.
-    force
-        Replace an earlier explorer, recognised by its first line; other files are never replaced.
-
-    Raises
-    ------
-    OutputError
-        The file exists, is not ours, or cannot be written.
-    """
-    write_file(explorer_page(scenario), file, _TITLE, "hexservo explore", force=force)

@@ -34,8 +34,6 @@ from hexservo.scenario.scenario import load_scenario
 if TYPE_CHECKING:
     from hexservo.run.result import Result
 
-__all__ = ["figures"]
-
 
 class _Ink(NamedTuple):
     colour: str

@@ -6,8 +6,6 @@ import json
 from html import escape
 from typing import Any
 
-__all__ = ["TITLE", "Html", "element", "json_script", "paragraphs"]
-
 TITLE = "<!DOCTYPE html><!-- hexservo report, format 1 -->"
 """First line of every report, which distinguishes it from other files."""
 

@@ -31,8 +31,6 @@ from hexservo.run.summary import summary_sentences
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["figure_of", "html_of", "image_of"]
-
 figure_of = comparison_figure
 image_of = image_bytes
 

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from hexservo.run.result import Result
     from hexservo.scenario.scenario import Scenario
 
-__all__ = ["assembled", "explanations", "page", "plotly_script", "scenario_part"]
-
 # The browser itself prevents the page and its libraries from loading anything.
 _POLICY = (
     "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data: blob:; "

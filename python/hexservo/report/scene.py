@@ -20,8 +20,6 @@ from hexservo.scenario.pixels import IMAGE_CORNERS, desired_features, image_bord
 if TYPE_CHECKING:
     from hexservo.run.result import Result
 
-__all__ = ["SpaceView", "scene"]
-
 _FRAMES = (150, 60)  # most instants of the transient, and of the rest
 _IMAGE_DISTANCE = 0.4  # of the drawn image plane from the camera, in parts of the targets' depth
 _MARGIN = 1.2  # of the drawn plane round the features, where the image has no size

@@ -10,8 +10,6 @@ from hexservo.report.html import Html, element
 from hexservo.report.scene import SpaceView
 from hexservo.scenario.arrays import Array
 
-__all__ = ["VIEW", "still"]
-
 VIEW = (1.42, -1.75, 1.15)
 """Viewpoint in the upright frame, (x, -y, -z) of B where z points down; also the initial one of the page's script."""
 

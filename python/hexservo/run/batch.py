@@ -21,7 +21,7 @@ from hexservo.run.metrics import METRICS, asked_metrics, metric_unit
 from hexservo.run.progress import ProgressCallback, progress_bar
 from hexservo.run.result import TERMS, WRENCH, leg_words, quantities
 from hexservo.run.variant import chosen_kernel
-from hexservo.run.variations import checked_variations, columns_of, fitted_variations, known_key, plain_row
+from hexservo.run.variations import changes_of_run, checked_variations, columns_of, fitted_variations
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.leg_units import unit_of
 from hexservo.scenario.parameters import core_parameters
@@ -309,12 +309,7 @@ def _run_custom(
             f"threads: expected 1 or None with a custom controller, which runs in one thread, got {threads}"
         )
     law = scenario.controller.law
-    scenarios = [
-        scenario.updated(
-            {key: plain_row(known_key(key, law), values[index % len(values)]) for key, values in arrays.items()}
-        )
-        for index in range(count)
-    ]
+    scenarios = [scenario.updated(changes_of_run(arrays, law, index)) for index in range(count)]
     time = _common_times(scenarios) if log == "trajectory" else None
     middle = () if time is None else (len(time),)
     shapes: dict[str, tuple[int, ...]] = {}

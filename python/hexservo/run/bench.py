@@ -25,8 +25,6 @@ from hexservo.scenario.laws import LAWS, THEOREM_LAW
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario, load_scenario
 
-__all__ = ["Benchmark", "BenchmarkError", "Distribution", "Plan", "Ratio", "Speed", "TickTiming", "benchmark"]
-
 Say: TypeAlias = Callable[[str], object]
 Work: TypeAlias = Literal["single", "batch"]
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from importlib import resources
 from pathlib import Path
 
-__all__ = ["c_library"]
-
 
 def c_library() -> Path:
     """Return the path of the shared library with the functions of hexservo.h, for ctypes and linkers.

@@ -22,8 +22,6 @@ from hexservo.scenario.scenario import Document, Scenario, read_document
 from hexservo.scenario.wording import wrong_type
 from hexservo.scenario.yaml import ScenarioError
 
-__all__ = ["compare"]
-
 _MAX_SAMPLES = 5000  # of the error that a row keeps
 _MAX_BATCH = 32  # runs in one batch: bounds the memory of their logs
 

@@ -25,8 +25,6 @@ from hexservo.scenario.wording import number
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Comparison", "ComparisonRow"]
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ComparisonRow:

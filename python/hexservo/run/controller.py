@@ -13,8 +13,6 @@ from hexservo.scenario.parameters import Settings, core_parameters
 from hexservo.scenario.scenario import Scenario, require_scenario
 from hexservo.scenario.wording import wrong_type
 
-__all__ = ["Controller", "ControllerOutput"]
-
 InputStatus: TypeAlias = Literal["valid", "unusable", "missing_image", "stale_image", "lost_feature"]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -14,8 +15,6 @@ from hexservo.scenario.arrays import Array, real_numbers
 from hexservo.scenario.laws import ALL_LAWS
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario
-
-__all__ = ["LegForces", "Observation", "OwnController", "function_name", "run_with"]
 
 
 class Observation(NamedTuple):
@@ -40,6 +39,9 @@ class Observation(NamedTuple):
     """(4,), attitude of E in B, (w, x, y, z), by the joint sensors."""
     twist: Array
     """(6,), (velocity; angular velocity) in B, by the joint sensors [m/s; rad/s]."""
+
+
+_seen_of = attrgetter(*Observation._fields)  # of what the core has seen, under equal names
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,16 +76,7 @@ def run_with(scenario: Scenario, controller: OwnController) -> _core.Trajectory:
     try:
         while run.running:
             seen = run.observe()
-            observation = Observation(
-                seen.tick,
-                seen.time,
-                seen.exposure,
-                seen.features,
-                seen.depth,
-                seen.position,
-                seen.quaternion,
-                seen.twist,
-            )
+            observation = Observation._make(_seen_of(seen))
             try:
                 command = controller(observation)
             except Exception as error:

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from hexservo.run.comparison import Comparison
     from hexservo.run.result import Result
 
-__all__ = ["batch_text", "comparison_text", "result_text"]
-
 _WIDTH = 110  # characters of a line of text
 
 

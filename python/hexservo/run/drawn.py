@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["drawn_by", "figure_of", "html_of", "image_of"]
-
 _finders: list[Callable[[], Any]] = []
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Iterator
 from typing import Any
@@ -11,20 +10,17 @@ import numpy as np
 
 from hexservo import _core
 from hexservo.run.controller import controller_arguments
-from hexservo.run.files import write_file
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.leg_units import unit_of
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.version import VERSION
 
-__all__ = ["gains_header", "robot_notes", "write_header"]
-
 _SEEN_FROM_HOME = ("target.initial_features", "target.depth")  # in place of points
 
 _FOUR = 4  # points: what controllers and arrays of the core are for by default
 
-_TITLE = "// hexservo gains, format 1"
+TITLE = "// hexservo gains, format 1"
 """First line of every exported header, which distinguishes it from other files."""
 
 
@@ -91,7 +87,7 @@ def gains_header(scenario: Scenario, period: float | None = None) -> str:
     places = "" if settings.places == _FOUR else f", {settings.places}"
     namespace = _namespace(scenario.name)
     lines = [
-        _TITLE,
+        TITLE,
         f'// The controller of the scenario "{scenario.name}", written by `hexservo export` of hexservo {VERSION}.',
         "// Not to be edited: change the scenario and run `hexservo export --force` again.",
         "// clang-format off",
@@ -189,23 +185,3 @@ def _number(value: float) -> str:
 def _namespace(name: str) -> str:
     """Turn a scenario's name into a C++ name; what comes first keeps it apart from keywords and digits."""
     return "_".join(["hexservo", *re.findall("[A-Za-z0-9]+", name)])
-
-
-def write_header(text: str, file: str | os.PathLike[str], *, force: bool = False) -> None:
-    """Write a header whole, or not at all.
-
-    Parameters
-    ----------
-    text
-        What `gains_header` gives.
-    file
-        A name in a folder that exists. A file of that name is kept.
-    force
-        Replace an earlier exported header, recognised by its first line; other files are never replaced.
-
-    Raises
-    ------
-    OutputError
-        The file exists, is not ours, or cannot be written.
-    """
-    write_file(text, file, _TITLE, "hexservo export", force=force)

@@ -16,8 +16,6 @@ from hexservo.run.publish import OutputError, Place, draft_beside, named, publis
 from hexservo.scenario.reading import path_text
 from hexservo.scenario.version import VERSION
 
-__all__ = ["MARKER", "Recogniser", "check_file", "check_folder", "has_results", "write_file", "write_folder"]
-
 MARKER = ".hexservo-output"
 """Name of the file that identifies a folder of results; it lists the other files with their SHA-256."""
 

@@ -11,8 +11,6 @@ from hexservo.scenario.leg_units import leg_units
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number
 
-__all__ = ["LegLimit", "LimitUse", "leg_limits", "limits_of_motion", "most_used"]
-
 
 @dataclass(frozen=True)
 class LegLimit:

@@ -17,8 +17,6 @@ from hexservo.scenario.parameters import core_parameters
 if TYPE_CHECKING:
     from hexservo.run.result import Result
 
-__all__ = ["LegMotion", "leg_motions", "singular_passage"]
-
 _ROWS = 4096  # of a log that are looked at together
 _IN_SIGHT = 4.0  # times what the legs do: a limit farther out is no line of the chart
 

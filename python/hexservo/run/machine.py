@@ -12,8 +12,6 @@ from hexservo import _core
 from hexservo.run.batch import thread_count
 from hexservo.run.variant import available_variants, chosen_kernel
 
-__all__ = ["describe_machine", "versions"]
-
 
 def describe_machine() -> dict[str, Any]:
     """Processor, system, interpreter, compiler and flags of the core, and how busy the machine is as we start."""

@@ -13,17 +13,6 @@ if TYPE_CHECKING:
     from hexservo.run.result import Result
     from hexservo.scenario.blocks import Metrics, Robot
 
-__all__ = [
-    "METRICS",
-    "asked_metrics",
-    "metric_unit",
-    "metrics",
-    "readable",
-    "readable_unit",
-    "shown_metrics",
-    "unsettled",
-]
-
 # name -> (unit, what it is); of rotary legs rad and N m stand for m and N: `metric_unit`
 METRICS: dict[str, tuple[str, str]] = {
     "settling_time": ("s", "last time any feature error exceeds the settling band"),

@@ -10,8 +10,6 @@ from hexservo.scenario.parameters import core_parameters
 if TYPE_CHECKING:
     from hexservo.scenario.scenario import Scenario
 
-__all__ = ["probe"]
-
 
 def probe(scenario: Scenario) -> _core.Probe:
     """Return the parts of a scenario's loop, to be evaluated at n states at once (docs/model.md, sections 3 to 7).

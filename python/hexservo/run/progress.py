@@ -11,8 +11,6 @@ from typing import Protocol, TypeAlias
 
 from hexservo.scenario.wording import wrong_type
 
-__all__ = ["ProgressCallback", "Report", "in_notebook", "progress_bar", "reporting"]
-
 ProgressCallback: TypeAlias = Callable[[int, int], object]
 """Called with how many are done, and how many there are."""
 

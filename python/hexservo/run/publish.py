@@ -31,8 +31,6 @@ from types import FrameType
 
 from hexservo.scenario.wording import quoted
 
-__all__ = ["OutputError", "Place", "draft_beside", "named", "publish", "signals_raised", "synchronize"]
-
 
 class OutputError(ValueError):
     """Results cannot be written where they should go; the text has the reason and what to do."""

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from hexservo.scenario.blocks import Robot
     from hexservo.scenario.scenario import Scenario
 
-__all__ = ["LimitEvent", "LimitKind", "Outcome", "Result", "require_result"]
-
 Outcome: TypeAlias = Literal[
     "completed",
     "diverged",

@@ -15,19 +15,6 @@ from hexservo.scenario.pixels import desired_features, image_border
 if TYPE_CHECKING:
     from hexservo.run.result import Result
 
-__all__ = [
-    "ImageView",
-    "extreme_samples",
-    "image_views",
-    "mean_samples",
-    "moving_mean",
-    "parts",
-    "rotation_vectors",
-    "turns_from_home",
-    "unit_rotation_vectors",
-    "vertical",
-]
-
 _MAX_POINTS = 1200  # of one line in one panel: more than print resolves
 _SMALL = 0.4  # of the image: paths within this part of it are shown magnified as well
 _MEAN_TIME = 0.007  # of the moving mean [s]: removes what switches, keeps what swings

@@ -18,8 +18,6 @@ from hexservo.scenario.reading import open_regular
 from hexservo.scenario.wording import quoted
 from hexservo.scenario.yaml import ScenarioError
 
-__all__ = ["load_result"]
-
 _TEXTS = ("controller", "outcome", "detail", "scenario", "hexservo_version", "event_table")
 _NUMBERS = ("end_time", *(f"metric_{name}" for name in METRICS))
 

@@ -13,8 +13,6 @@ from hexservo.run.sealed import FORMAT, is_sealed, sealed_bytes
 if TYPE_CHECKING:
     from hexservo.run.result import LimitEvent, Result
 
-__all__ = ["check_saved", "result_bytes", "save_result", "saved_attributes"]
-
 HISTORY = "weight_history"  # the only array that a result may lack
 EVENT_HEAD = "kind leg time peak limit"  # of the table of events; seconds, and the unit of the kind
 

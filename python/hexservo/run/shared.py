@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.fitted import auto_of, fitted_keys
-from hexservo.scenario.keys import acting_keys
+from hexservo.scenario.keys import NumericKey, acting_keys
 from hexservo.scenario.laws import ALL_LAWS
 from hexservo.scenario.scenario import Scenario
-
-__all__ = []
 
 _ALWAYS = "uncertainty.gravity"  # varies in every batch, be it by nothing
 
@@ -32,12 +31,16 @@ def numbers_of(scenario: Scenario) -> dict[str, Any]:
             value = value[name]
         if key.startswith(("simulation.", _auto(scenario))) or value is None or isinstance(value, str):
             continue
-        array = np.asarray(value, dtype=rule.dtype)
-        shape = max(rule.shapes, key=len)
-        if array.shape != shape:  # a number for all entries, or a diagonal
-            array = np.diag(array) if array.ndim else np.full(shape, array)
-        numbers[key] = array
+        numbers[key] = widest(rule, value)
     return numbers
+
+
+def widest(rule: NumericKey, value: Any) -> NDArray[Any]:
+    """Return a value in the widest shape of its key: a number may stand for all entries, or a list for a diagonal."""
+    array, shape = np.asarray(value, dtype=rule.dtype), max(rule.shapes, key=len)
+    if array.shape == shape:
+        return array
+    return np.diag(array) if array.ndim else np.full(shape, array)
 
 
 def shared_by(scenario: Scenario) -> dict[str, Any]:

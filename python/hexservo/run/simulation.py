@@ -7,13 +7,11 @@ from typing import cast
 from hexservo import _core
 from hexservo.run.custom_controller import OwnController, function_name, run_with
 from hexservo.run.metrics import METRICS
-from hexservo.run.result import LimitEvent, LimitKind, Outcome, Result
+from hexservo.run.result import LimitEvent, LimitKind, Outcome, Result, quantities
 from hexservo.run.variant import chosen_kernel
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario, require_scenario
 from hexservo.scenario.wording import wrong_type
-
-__all__ = ["simulate"]
 
 
 def simulate(scenario: Scenario, *, controller: OwnController | None = None, log_weights: bool = False) -> Result:
@@ -55,6 +53,7 @@ def simulate(scenario: Scenario, *, controller: OwnController | None = None, log
         run = run_with(scenario, controller)
     else:
         raise wrong_type("controller", "a function of an Observation", controller)
+    arrays = ("time", *quantities(run.depth.shape[1]), "fuzzy_weights", "weight_history")
     return Result(
         scenario=scenario,
         controller=scenario.controller.law if controller is None else function_name(controller),
@@ -62,20 +61,22 @@ def simulate(scenario: Scenario, *, controller: OwnController | None = None, log
         end_time=run.end_time,
         detail=run.detail,
         events=tuple(_limit_event(event, scenario.robot.legs == "rotary") for event in run.events),
-        time=run.time,
-        feature_error=run.feature_error,
-        depth=run.depth,
-        position=run.position,
-        quaternion=run.quaternion,
-        twist=run.twist,
-        wrench=run.wrench,
-        fuzzy_output=run.fuzzy_output,
-        leg_lengths=run.leg_lengths,
-        leg_forces=run.leg_forces,
-        fuzzy_weights=run.fuzzy_weights,
         streamed_metrics={name: getattr(run.metrics, name) for name in METRICS},
-        weight_history=run.weight_history,
+        **{name: getattr(run, name) for name in arrays},
     )
+
+
+def uninterrupted(result: Result) -> Result:
+    """Return a run for findings: it was not interrupted.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        Ctrl-C ended it: what it has is incomplete.
+    """
+    if result.outcome == "interrupted":
+        raise KeyboardInterrupt
+    return result
 
 
 def _limit_event(event: _core.LimitEvent, rotary: bool) -> LimitEvent:

@@ -16,8 +16,6 @@ from hexservo.scenario.wording import number, quantity
 if TYPE_CHECKING:
     from hexservo.run.result import Result
 
-__all__ = ["singular_passage_sentence", "summary_sentences", "without_image"]
-
 
 def summary_sentences(result: Result) -> list[str]:
     """Return how a run ended, whether it settled, its remaining error, and how near the legs came to their limits.

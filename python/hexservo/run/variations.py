@@ -56,7 +56,7 @@ def checked_variations(scenario: Scenario, variations: Mapping[str, ArrayLike]) 
                 )
     # The first scenario, checked as a whole: what the other keys of its block allow.
     try:
-        scenario.updated({key: plain_row(known_key(key, law), values[0]) for key, values in arrays.items()})
+        scenario.updated(changes_of_run(arrays, law))
     except ScenarioError as error:
         raise ScenarioError([f"scenario 0: {problem}" for problem in error.problems]) from None
     return arrays
@@ -93,7 +93,7 @@ def fitted_variations(scenario: Scenario, arrays: Mapping[str, NDArray[Any]]) ->
         bandwidths, dampings = (np.broadcast_to(values, count) for values in (bandwidth, damping))
         rows = []
         for index in range(count):
-            row = {key: plain_row(known_key(key, law), others[key][index % len(others[key])]) for key in machines}
+            row = changes_of_run({key: others[key] for key in machines}, law, index)
             try:
                 rows.append(fitted_gains(law, machine_with(scenario, row), bandwidths[index], dampings[index]))
             except ValueError as error:
@@ -176,6 +176,11 @@ def columns_of(key: str, values: NDArray[Any]) -> dict[str, NDArray[Any]]:
         key + "".join(f"[{index}]" for index in place): values[(slice(None), *place)]
         for place in np.ndindex(values.shape[1:])
     }
+
+
+def changes_of_run(arrays: Mapping[str, NDArray[Any]], law: str, index: int = 0) -> dict[str, Any]:
+    """Return the changes of one run, by dotted key, from the rows of all; keys with one row have it for every run."""
+    return {key: plain_row(known_key(key, law), values[index % len(values)]) for key, values in arrays.items()}
 
 
 def plain_row(rule: NumericKey, row: NDArray[Any]) -> Any:

@@ -13,8 +13,6 @@ from hexservo.scenario.rules import Number
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-__all__ = []
-
 POSITIVE = Number(above=0)
 NOT_NEGATIVE = Number(at_least=0)
 RELATIVE_ERROR = Number(above=-1, below=1)

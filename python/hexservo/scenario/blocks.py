@@ -54,8 +54,6 @@ from hexservo.scenario.rules import (
 )
 from hexservo.scenario.tag import CORNERS, Grid, GridRule, Tag, TagRule, require_counts
 
-__all__ = ["Actuators", "Camera", "Metrics", "Robot", "Sensors", "Simulation", "Target", "Uncertainty"]
-
 DEFAULT_PRESET = "micro"
 _FOCAL_KEYS = ("focal_length", "pixel_scale")
 SIDES = ("platform", "base")

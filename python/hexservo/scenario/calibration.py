@@ -16,8 +16,6 @@ from hexservo.scenario.reading import path_text
 from hexservo.scenario.rules import shown_value
 from hexservo.scenario.yaml import ScenarioError, load_yaml, read_text
 
-__all__ = ["camera_from_file", "camera_from_opencv"]
-
 _BROWN_CONRADY, _KANNALA_BRANDT = 5, 4  # numbers of coefficients
 _Model: TypeAlias = Literal["brown_conrady", "kannala_brandt"]
 

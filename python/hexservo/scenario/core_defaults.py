@@ -11,8 +11,6 @@ from pydantic import Field
 from hexservo import _core
 from hexservo.scenario.rules import collapsed
 
-__all__ = ["core_default", "from_core"]
-
 
 @cache
 def core_default(key: str) -> Any:

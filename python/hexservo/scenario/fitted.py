@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any, cast
 
 import numpy as np
@@ -22,20 +23,6 @@ from hexservo.scenario.laws import ALL_LAWS, LAWS, Auto
 from hexservo.scenario.parameters import Settings, core_parameters
 from hexservo.scenario.placing import read_target
 from hexservo.scenario.plain import plain, put
-
-__all__ = [
-    "Machine",
-    "acts_on_gains",
-    "auto_of",
-    "chosen_keys",
-    "fitted_gains",
-    "fitted_keys",
-    "gains_written",
-    "machine_of",
-    "machine_with",
-    "with_fitted_gains",
-    "without_fitted_gains",
-]
 
 # Dimensionless numbers of the formulas, docs/gains.md.
 _PRIOR = 1.5e-3  # composite, computed_torque: weight of the prior over the image of one point
@@ -337,7 +324,7 @@ def chosen_keys(scenario: Blocks) -> tuple[str, ...]:
     law = scenario.controller.law
     follow = _follow(scenario, law)
     own = getattr(scenario.controller, law)
-    return tuple(key for key in fitted_keys(law) if not _same(_at(own, key), follow[key]))
+    return tuple(key for key in fitted_keys(law) if not _same(attrgetter(key)(own), follow[key]))
 
 
 def gains_written(scenario: Blocks) -> dict[str, Any]:
@@ -350,7 +337,7 @@ def gains_written(scenario: Blocks) -> dict[str, Any]:
     law = scenario.controller.law
     own = getattr(scenario.controller, law)
     idle = {"ki"} if scenario.legs_follow_twists else set()  # without effect there, and refused where it is written
-    gains = {f"controller.{law}.{path}": _at(own, path) for path in fitted_keys(law) if path not in idle}
+    gains = {f"controller.{law}.{path}": attrgetter(path)(own) for path in fitted_keys(law) if path not in idle}
     return {f"controller.{law}.auto.bandwidth": None, **gains}
 
 
@@ -359,7 +346,7 @@ def without_fitted_gains(scenario: Blocks, keys: dict[str, Any]) -> None:
     for law in ALL_LAWS:
         follow, own = _follow(scenario, law), getattr(scenario.controller, law)
         for path in fitted_keys(law):
-            if _same(_at(own, path), follow[path]):
+            if _same(attrgetter(path)(own), follow[path]):
                 *blocks, key = path.split(".")
                 place = keys["controller"][law]
                 for name in blocks:
@@ -373,12 +360,6 @@ def _follow(scenario: Blocks, law: str) -> dict[str, Any]:
     if law != scenario.controller.law or auto.bandwidth is None:
         return {key: core_default(f"controller.{law}.{key}") for key in fitted_keys(law)}
     return dict(fitted_gains(law, machine_of(scenario), auto.bandwidth, auto.damping))
-
-
-def _at(block: Any, path: str) -> Any:
-    for name in path.split("."):
-        block = getattr(block, name)
-    return block
 
 
 def _same(one: Any, other: Any) -> bool:

@@ -10,8 +10,6 @@ from hexservo import _core
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["core_values", "flat", "flat_text", "plain_value"]
-
 
 def flat(scenario: Scenario) -> dict[str, str]:
     """Return every key of the core with its value as text, what Python derives from other keys included.
@@ -40,7 +38,7 @@ def plain_value(key: _core.ScenarioKey, value: Any) -> Any:
     """Return the value of a key as data for JSON."""
     if key.type == "seed":  # which no double holds
         return str(value)
-    if _is_none(key, value):
+    if is_none(key, value):
         return None
     if isinstance(value, np.ndarray):
         return value.ravel().tolist()
@@ -52,7 +50,7 @@ def flat_text(scenario: Scenario) -> str:
     return "".join(f"{key} {value}\n" for key, value in flat(scenario).items())
 
 
-def _is_none(key: _core.ScenarioKey, value: Any) -> bool:
+def is_none(key: _core.ScenarioKey, value: Any) -> bool:
     """Return whether a value stands for null: nothing, or the number that the core has for it."""
     return value is None or (key.none is not None and bool(np.all(value == key.none)))
 
@@ -60,7 +58,7 @@ def _is_none(key: _core.ScenarioKey, value: Any) -> bool:
 def _text(key: _core.ScenarioKey, value: Any) -> str:
     if isinstance(value, str):
         return value
-    if _is_none(key, value):
+    if is_none(key, value):
         return "none"
     numbers = [float(number) for number in np.ravel(value)] if key.type in ("number", "array", "samples") else [value]
     return " ".join(repr(number if isinstance(number, float) else int(number)) for number in numbers)

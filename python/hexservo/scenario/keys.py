@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -149,21 +150,16 @@ def keys_below(name: str) -> tuple[str, ...]:
 @cache
 def default_of(key: str) -> Any:
     """Return the default of a dotted key that has one, or whose blocks have."""
-    block, *inner = key.split(".")
+    block, _, inner = key.partition(".")
     if Blocks.model_fields[block].is_required():
         return next(default_of_field(field) for path, field, _ in leaves(Blocks) if path == key)
     value = default_of_field(Blocks.model_fields[block])
-    for name in inner:
-        value = getattr(value, name)
-    return value
+    return attrgetter(inner)(value) if inner else value
 
 
 def value_at(scenario: Blocks, key: str) -> Any:
     """Return the value of a dotted key."""
-    value: Any = scenario
-    for name in key.split("."):
-        value = getattr(value, name)
-    return value
+    return attrgetter(key)(scenario)
 
 
 def all_paths(block: type[BaseModel], head: str = "") -> Iterator[str]:

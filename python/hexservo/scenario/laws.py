@@ -23,25 +23,6 @@ from hexservo.scenario.rules import (
     map_lists,
 )
 
-__all__ = [
-    "ALL_LAWS",
-    "GENERAL_LAW",
-    "LAWS",
-    "THEOREM_LAW",
-    "Auto",
-    "Composite",
-    "ComputedTorque",
-    "Controller",
-    "Fuzzy",
-    "Hybrid",
-    "Kelly",
-    "Pbvs",
-    "ResolvedRate",
-    "Switching",
-    "Tracking",
-    "laws_with",
-]
-
 SwitchingKind: TypeAlias = Literal["sign", "tanh", "saturation", "implicit", "implicit_coupled"]
 JacobianPoint: TypeAlias = Literal["current", "desired", "mean"]
 ALL_LAWS: tuple[str, ...] = tuple(_core.LAW_TRAITS)

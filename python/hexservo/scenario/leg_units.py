@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from hexservo.scenario.blocks import Robot
 
-__all__ = ["LegUnits", "leg_units", "stroke_length", "unit_of", "unit_of_entry"]
-
 
 @dataclass(frozen=True)
 class LegUnits:

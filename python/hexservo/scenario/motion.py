@@ -24,8 +24,6 @@ from hexservo.scenario.rules import (
 )
 from hexservo.scenario.yaml import ScenarioError
 
-__all__ = ["BaseMotion", "Road", "TargetMotion", "moves"]
-
 _ZERO = (0.0, 0.0, 0.0)
 
 

@@ -14,8 +14,6 @@ from hexservo import _core
 if TYPE_CHECKING:
     from hexservo.scenario.blocks import Blocks
 
-__all__ = ["Settings", "core_parameters", "core_settings", "frame_period", "gains_of", "units_of_keys"]
-
 Settings = _core.Settings
 """A scenario in the core, by dotted keys: ``settings["camera.noise"]``."""
 

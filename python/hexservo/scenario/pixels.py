@@ -15,20 +15,6 @@ if TYPE_CHECKING:
     from hexservo.scenario.blocks import Blocks, Camera
     from hexservo.scenario.scenario import Scenario
 
-__all__ = [
-    "IMAGE_CORNERS",
-    "WRONG_CAMERA",
-    "desired_features",
-    "has_camera_wrong",
-    "has_pixels",
-    "image_border",
-    "on_pinhole",
-    "pixel_slopes",
-    "points_outside",
-    "to_features",
-    "to_pixels",
-]
-
 _SLOPE_STEP = 0.01  # [px] of features
 _BENT_SIDE = 24  # points of a side of the image's border that a lens may bend
 IMAGE_CORNERS = np.array([(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)])

@@ -15,8 +15,6 @@ from hexservo.scenario.recording import kinematic
 from hexservo.scenario.rules import Vector
 from hexservo.scenario.tag import corners, nodes, normal, rotation_matrix
 
-__all__ = ["read_motion", "read_target"]
-
 
 def read_target(scenario: Blocks) -> None:
     """Replace tag, grid and desired pose of a scenario that is being made by points and desired features.

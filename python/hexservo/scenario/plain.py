@@ -11,8 +11,6 @@ from pydantic import BaseModel
 from hexservo.scenario.rules import shown_value
 from hexservo.scenario.yaml import MAX_DEPTH, ScenarioError
 
-__all__ = []
-
 _AS_IT_IS = frozenset({float, int, bool, type(None)})
 
 

@@ -8,8 +8,6 @@ from typing import Any
 from hexservo import _core
 from hexservo.scenario.yaml import load_yaml
 
-__all__ = ["MACHINES", "ROBOT_PRESETS", "machine"]
-
 _FOLDER = resources.files("hexservo") / "machines"
 MACHINES = tuple(sorted(item.name[:-5] for item in _FOLDER.iterdir() if item.name.endswith(".yaml")))
 ROBOT_PRESETS = (*_core.ROBOT_PRESETS, *MACHINES)

@@ -12,8 +12,6 @@ from hexservo.scenario.blocks import Blocks, Robot
 from hexservo.scenario.keys import all_paths
 from hexservo.scenario.rules import Rule, did_you_mean, shown_value
 
-__all__ = []
-
 _MOST_PROBLEMS = 20  # reported of a scenario; of more only their number
 
 

@@ -11,8 +11,6 @@ from typing import BinaryIO
 
 from hexservo.scenario.wording import wrong_type
 
-__all__ = ["open_regular", "path_text"]
-
 
 def path_text(name: str, path: object) -> str:
     """Return a path that was given as an argument as text; bytes are decoded as the system does.

@@ -14,8 +14,6 @@ from hexservo.scenario.arrays import Array
 from hexservo.scenario.reading import path_text
 from hexservo.scenario.yaml import ScenarioError, read_text
 
-__all__ = ["MAX_SAMPLES", "Recording", "kinematic", "read_base_motion", "read_target_motion"]
-
 MAX_SAMPLES = 10_000
 """Most samples of a recording: a scenario holds them itself, whose file can still be read (`yaml.MAX_BYTES`)."""
 

@@ -176,10 +176,7 @@ class GravityRule(ArrayRule):
     """The acceleration of gravity in B; a number is its magnitude, along +z, which points down."""
 
     shape: tuple[int, ...] = (3,)
-
-    @property
-    def expected(self) -> str:
-        return "3 finite numbers (in B), or a number >= 0 (along +z)"
+    expected = "3 finite numbers (in B), or a number >= 0 (along +z)"
 
     def accept(self, value: Any) -> Vector:
         if is_number(value):
@@ -187,13 +184,10 @@ class GravityRule(ArrayRule):
         return cast("Vector", super().accept(value))
 
 
-@dataclass(frozen=True)
 class DisplacementRule(Rule):
     """A pose as its displacement from another, or null; it is read into other keys, and so does not vary in a batch."""
 
-    @property
-    def expected(self) -> str:
-        return "6 finite numbers (m x3, rad x3) or null"
+    expected = "6 finite numbers (m x3, rad x3) or null"
 
     def accept(self, value: Any) -> Vector | None:
         if value is None:
@@ -203,13 +197,10 @@ class DisplacementRule(Rule):
         return cast("Vector", _tuples(value, (6,), Number().accept, self.expected))
 
 
-@dataclass(frozen=True)
 class Inertia(Rule):
     """A symmetric 3x3 matrix; its diagonal where the rest is zero."""
 
-    @property
-    def expected(self) -> str:
-        return "3 numbers (the diagonal) or 3x3 finite numbers (symmetric)"
+    expected = "3 numbers (the diagonal) or 3x3 finite numbers (symmetric)"
 
     def accept(self, value: Any) -> Vector | Matrix:
         if not isinstance(value, list):
@@ -228,13 +219,10 @@ class Inertia(Rule):
         return diagonal_if_diagonal(tuple(tuple(rows[i][j] / 2 + rows[j][i] / 2 for j in range(3)) for i in range(3)))
 
 
-@dataclass(frozen=True)
 class TableRule(Rule):
     """A rule table: rows by the first input, columns by the second, from NB to PB; entries are output terms."""
 
-    @property
-    def expected(self) -> str:
-        return f'"linear" or 7x7 numbers or terms ({" ".join(TERMS)})'
+    expected = f'"linear" or 7x7 numbers or terms ({" ".join(TERMS)})'
 
     def accept(self, value: Any) -> str | Matrix:
         if value == "linear":
@@ -279,13 +267,10 @@ class OptionalNumber(Number):
         return None if value is None else super().accept(value)
 
 
-@dataclass(frozen=True)
 class SamplePeriod(Rule):
     """A number or null; it belongs to a recording, which the scenarios of a batch share."""
 
-    @property
-    def expected(self) -> str:
-        return OptionalNumber(above=0).expected
+    expected = OptionalNumber(above=0).expected
 
     def accept(self, value: Any) -> float | None:
         return OptionalNumber(above=0).accept(value)
@@ -309,13 +294,10 @@ class Samples(Rule):
         return cast("Matrix", _tuples(value, (len(value), self.columns), Number().accept, self.expected))
 
 
-@dataclass(frozen=True)
 class File(Rule):
     """The path of a file, or null."""
 
-    @property
-    def expected(self) -> str:
-        return "the path of a file, or null"
+    expected = "the path of a file, or null"
 
     def accept(self, value: Any) -> str | None:
         if value is not None and not (isinstance(value, str) and value):
@@ -323,11 +305,8 @@ class File(Rule):
         return value
 
 
-@dataclass(frozen=True)
 class Flag(Rule):
-    @property
-    def expected(self) -> str:
-        return "true or false"
+    expected = "true or false"
 
     def accept(self, value: Any) -> bool:
         if not isinstance(value, bool):
@@ -377,13 +356,10 @@ class TrueOr(Rule):
         return value
 
 
-@dataclass(frozen=True)
 class Name(Rule):
     """Text that is safe as the name of a file on every system."""
 
-    @property
-    def expected(self) -> str:
-        return 'a name of 1 to 60 letters, digits, "-", "_" and "." that starts with a letter or digit'
+    expected = 'a name of 1 to 60 letters, digits, "-", "_" and "." that starts with a letter or digit'
 
     def accept(self, value: Any) -> str:
         if not isinstance(value, str) or not 1 <= len(value) <= 60:
@@ -393,11 +369,8 @@ class Name(Rule):
         return value
 
 
-@dataclass(frozen=True)
 class LineRule(Rule):
-    @property
-    def expected(self) -> str:
-        return "one line of at most 200 printable characters"
+    expected = "one line of at most 200 printable characters"
 
     def accept(self, value: Any) -> str:
         if not isinstance(value, str) or len(value) > 200 or not value.isprintable():

@@ -30,8 +30,6 @@ from hexservo.scenario.tag import require_counts_elsewhere
 from hexservo.scenario.wording import wrong_type
 from hexservo.scenario.yaml import ScenarioError, dump_yaml, load_yaml, read_yaml
 
-__all__ = ["Document", "Scenario", "load_scenario", "read_document", "require_scenario", "scenario_names"]
-
 
 class Scenario(Blocks):
     """All that a run depends on. Immutable; a scenario that exists is one that can run.

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from hexservo import _core
-
-__all__ = ["schema"]
+from hexservo.scenario.flat import is_none
 
 
 def schema() -> list[dict[str, Any]]:
@@ -50,6 +49,6 @@ def _entry(key: _core.ScenarioKey, default: Any) -> dict[str, Any]:
 
 def _plain(key: _core.ScenarioKey, value: Any) -> Any:
     """Return a default as a scenario has it: null for the number that stands for none, `ScenarioKey.none`."""
-    if value is None or (key.none is not None and np.all(value == key.none)):
+    if is_none(key, value):
         return None
     return value.tolist() if isinstance(value, np.ndarray) else value

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -35,13 +34,10 @@ _GRID_KEYS = ("rows", "columns", "spacing", "pose")
 CORNERS = np.array([[-0.5, 0.5, 0.0], [0.5, 0.5, 0.0], [0.5, -0.5, 0.0], [-0.5, -0.5, 0.0]])
 
 
-@dataclass(frozen=True)
 class TagRule(Rule):
     """A mapping with the tag's size and pose, or null."""
 
-    @property
-    def expected(self) -> str:
-        return "size (a number > 0, m) and pose (6 numbers, m and rad), or null"
+    expected = "size (a number > 0, m) and pose (6 numbers, m and rad), or null"
 
     def accept(self, value: Any) -> Tag | None:
         if value is None:
@@ -51,16 +47,13 @@ class TagRule(Rule):
         return Number(above=0).accept(value["size"]), _pose(value["pose"])
 
 
-@dataclass(frozen=True)
 class GridRule(Rule):
     """A mapping with the grid's rows, columns, spacing and pose, or null."""
 
-    @property
-    def expected(self) -> str:
-        return (
-            "rows and columns (integers >= 2, of at most 16 points), spacing (a number > 0, m) and pose (6 numbers, m "
-            "and rad), or null"
-        )
+    expected = (
+        "rows and columns (integers >= 2, of at most 16 points), spacing (a number > 0, m) and pose (6 numbers, m "
+        "and rad), or null"
+    )
 
     def accept(self, value: Any) -> Grid | None:
         if value is None:

@@ -4,6 +4,4 @@ from __future__ import annotations
 
 from hexservo import _core
 
-__all__ = ["VERSION"]
-
 VERSION: str = _core.build_info()["hexservo"]

@@ -5,8 +5,6 @@ from __future__ import annotations
 import decimal
 import operator
 
-__all__ = ["above", "below", "joules", "number", "quantity", "quoted", "whole_number", "wrong_type"]
-
 
 def number(value: float, digits: int = 3) -> str:
     """Write a number with so many digits, and without an exponent below a million: "0.0123", "190", "28800"."""

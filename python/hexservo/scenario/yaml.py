@@ -16,18 +16,6 @@ import yaml
 
 from hexservo.scenario.reading import open_regular, path_text
 
-__all__ = [
-    "MAX_BYTES",
-    "MAX_DEPTH",
-    "Plain",
-    "ScenarioError",
-    "decoded",
-    "dump_yaml",
-    "load_yaml",
-    "read_text",
-    "read_yaml",
-]
-
 Plain: TypeAlias = "bool | int | float | str | list[Plain] | dict[str, Plain] | None"
 """What a document holds: nothing but the types of the YAML core schema."""
 

@@ -10,22 +10,6 @@ import numpy as np
 from hexservo.findings.analysis.linear_loop import BORDER, Clock, SampledLoop
 from hexservo.scenario.arrays import Array, Complex
 
-__all__ = [
-    "LARGEST_FACTOR",
-    "LONGEST",
-    "MOST_DRIFTS",
-    "Border",
-    "Margins",
-    "crossing",
-    "exponents",
-    "gain_border",
-    "loop_margins",
-    "most_frames",
-    "motion_of",
-    "radius_map",
-]
-
-
 LONGEST = 0.5
 """Periods and latencies are looked at up to this, or ten times the loop's own [s]."""
 LARGEST_FACTOR = 1e3

@@ -39,8 +39,6 @@ from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.yaml import ScenarioError
 
-__all__ = ["BorderRun", "CameraRate", "analyse"]
-
 NEARLY = 0.05
 """A run on each side of the border is this far from it, relative to it; of whole ticks the nearest, at least one."""
 _KEYS: tuple[Literal["period", "latency"], ...] = ("period", "latency")

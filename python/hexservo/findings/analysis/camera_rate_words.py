@@ -13,12 +13,10 @@ from hexservo.findings.analysis.linear_loop import Clock
 from hexservo.findings.analysis.loop_of_scenario import OFFSET as START
 from hexservo.findings.analysis.loop_of_scenario import LoopAtRest, proportional_gains
 from hexservo.findings.analysis.words import number
-from hexservo.findings.evidence import Cell, Column, HeatMap, Line, Section, Table, Verdict
+from hexservo.findings.evidence import Cell, Column, HeatMap, Line, Section, Table, Verdict, picked
 from hexservo.run.leg_limits import LimitUse, limits_of_motion
 from hexservo.run.metrics import readable_unit
 from hexservo.scenario.leg_units import leg_units
-
-__all__ = ["section"]
 
 PAGE = "docs/analysis/camera_rate.md"
 
@@ -454,9 +452,7 @@ def _data(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins) 
         "settles": result.settles,
         "starts": [
             {
-                "offset": run.offset,
-                "duration": run.duration,
-                "ending": run.ending,
+                **picked(run, "offset duration ending"),
                 "peak_error": run.peak,
                 "leg_travel": run.travel,
             }

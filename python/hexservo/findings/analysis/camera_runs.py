@@ -14,11 +14,9 @@ from hexservo.run.batch import simulate_batch, whole
 from hexservo.run.leg_limits import LimitUse, most_used
 from hexservo.run.metrics import metrics
 from hexservo.run.result import Result
-from hexservo.run.simulation import simulate
+from hexservo.run.simulation import simulate, uninterrupted
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
-
-__all__ = ["STARTS", "LimitBorder", "StartRun", "learned_weights", "limit_border", "start_runs"]
 
 STARTS = (0.01, 1.0)
 """Largest feature offsets of the small starts [px]."""
@@ -90,7 +88,7 @@ def _start_run(home: Scenario, offset: float, goal: Array) -> StartRun:
             "simulation.duration": ticks * tick,
             "simulation.log_every": 1,
         }
-        result = _uninterrupted(simulate(home.updated(changes)))
+        result = uninterrupted(simulate(home.updated(changes)))
         travel = float(result.streamed_metrics["peak_leg_excursion"])
         ending = _ending(result, most_used(home, result.streamed_metrics))
         found = StartRun(offset, ticks * tick, ending, float(np.abs(result.feature_error).max()), travel)
@@ -119,16 +117,10 @@ def learned_weights(task: Scenario) -> Array | None:
 
     Settled: docs/model.md, section 8.
     """
-    result = _uninterrupted(simulate(task))
+    result = uninterrupted(simulate(task))
     if result.outcome != "completed" or np.isnan(metrics(result)["settling_time"]):
         return None
     return np.asarray(result.fuzzy_weights)
-
-
-def _uninterrupted(result: Result) -> Result:
-    if result.outcome == "interrupted":  # no statement on stability
-        raise KeyboardInterrupt
-    return result
 
 
 def limit_border(task: Scenario, key: Literal["period", "latency"], clock: Clock, largest: int) -> LimitBorder:

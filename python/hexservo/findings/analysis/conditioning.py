@@ -14,8 +14,6 @@ from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["Conditioning", "Sight", "analyse", "sight"]
-
 NOISE = 0.1  # [px], for the sentences; half of what the prior of `composite` takes a camera to have
 _SHIFT, _TURN = 0.01, 0.2  # [m], [rad], of the displayed least observable motion; the rotation at most
 

@@ -19,8 +19,6 @@ from hexservo.findings.analysis.words import displacement_words, motion_in_words
 from hexservo.findings.evidence import Cell, Column, Curves, Line, Section, Table, Verdict
 from hexservo.scenario.arrays import Array
 
-__all__ = ["section"]
-
 PAGE = "docs/analysis/conditioning.md"
 _GRIP = 0.1  # of the stroke: a pose that is less certain than this, at the camera's noise, is worth a warning
 

@@ -15,8 +15,6 @@ from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["GRID", "LARGEST", "SIZES", "Drift", "Pattern", "Size", "analyse", "loop_matrix"]
-
 SIZES = (0.05, 0.3)  # of depth errors, beside the scenario's own
 LARGEST = 0.95  # that is searched; at 1 an assumed depth is zero
 GRID = 20  # sizes up to it before the bisection, so that a border that is not the only one is found

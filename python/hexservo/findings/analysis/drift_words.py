@@ -8,9 +8,7 @@ import numpy as np
 
 from hexservo.findings.analysis.drift import GRID, LARGEST, SIZES, Drift, Pattern, Size
 from hexservo.findings.analysis.words import direction_words, open_section
-from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict
-
-__all__ = ["section"]
+from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict, picked
 
 PAGE = "docs/analysis/drift.md"
 
@@ -187,9 +185,7 @@ def _data(found: Drift) -> dict[str, Any]:
             "depth_errors": p.errors,
             "smallest_eigenvalue_start": p.start,
             "smallest_eigenvalue_goal": p.goal,
-            "direction": p.direction,
-            "rate": p.rate,
-            "time_constant": p.time_constant,
+            **picked(p, "direction rate time_constant"),
             "end_displacement": p.end,
             "end_rate": p.end_rate,
             "end_error": p.end_error,

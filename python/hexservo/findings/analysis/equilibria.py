@@ -16,8 +16,6 @@ from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["SEED", "Equilibria", "Equilibrium", "analyse"]
-
 SEED = 20  # of the starts; the same in every analysis
 _WITHIN, _WIDER = 64, 64  # starts inside the stroke, and in the wider region
 _SAME = 1e-4  # [mean depth; rad], equilibria closer than this are one

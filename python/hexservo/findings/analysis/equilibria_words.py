@@ -16,10 +16,8 @@ from hexservo.findings.analysis.words import (
     open_section,
     vector_words,
 )
-from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict
+from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict, picked
 from hexservo.scenario.laws import laws_with
-
-__all__ = ["section"]
 
 PAGE = "docs/analysis/equilibria.md"
 
@@ -183,31 +181,19 @@ def _items(result: Equilibria) -> list[Item]:
 def _data(result: Equilibria) -> dict[str, Any]:
     return {
         "applies": True,
-        "law": result.law,
-        "starts_within": result.starts_within,
-        "starts_wider": result.starts_wider,
+        **picked(result, "law starts_within starts_wider"),
         "seed": SEED,
         "stroke": result.stroke,
         "depth": result.depth,
         "false_attracting_reachable": len(result.traps),
-        "gravity_force": result.gravity_force,
-        "gravity_direction": result.gravity_direction,
-        "gravity_stiffness": result.gravity_stiffness,
+        **picked(result, "gravity_force gravity_direction gravity_stiffness"),
         "equilibria": [
             {
-                "kind": e.kind,
-                "stability": e.stability,
-                "residual": e.residual,
-                "position": e.position,
-                "quaternion": e.quaternion,
-                "displacement": e.displacement,
+                **picked(e, "kind stability residual position quaternion displacement"),
                 "eigenvalues_real": e.eigenvalues.real,
                 "eigenvalues_imaginary": e.eigenvalues.imag,
                 "weakest_direction": e.weakest,
-                "growth": e.growth,
-                "leg_travel": e.leg_travel,
-                "reachable": e.reachable,
-                "starts": e.starts,
+                **picked(e, "growth leg_travel reachable starts"),
             }
             for e in result.found
         ],

@@ -11,8 +11,6 @@ from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene, View
 from hexservo.scenario.arrays import Array
 
-__all__ = ["SHOWN", "TOLERANCE", "GoalPose", "Goals", "find_goals", "limited", "nearest_images"]
-
 SHOWN = 1e-6  # [px], an image this close to the goal is the goal
 TOLERANCE = 0.1  # [px], how far the nearest pose may leave a feature from what the best pose reaches
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -23,8 +23,6 @@ from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.laws import LAWS, laws_with
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.scenario import Scenario
-
-__all__ = ["Direction", "LargestStart", "Timing", "analyse", "border"]
 
 _SHORT, _LONG = 2.0, 10.0  # [s], of a run, and of one where the task itself needs longer
 _GRID = 8  # sizes in the first round, up to the largest that is possible
@@ -249,34 +247,27 @@ def _whole(duration: float, step: float) -> float:
 # ---- Starting errors ------------------------------------------------------------------------------------------------
 
 
-@dataclass
-class _Way:
-    """A direction during the search."""
-
-    name: str
-    unit: Array
-    largest: float
-    limited_by: str
-    tried: Tried
-    settling: dict[float, float]
-    beyond: dict[float, LimitUse]
-
-
 def _directions(scene: Scene, trial: _Trial) -> tuple[Direction, ...]:
     """Try goals along the task's own way, the axes and the rotations, all in one batch per round."""
-    ways = [_Way(name, unit, *_largest(scene, unit), {}, {}, {}) for name, unit in _units(scene)]
+    ways = [
+        Direction(
+            name, unit, *_largest(scene, unit), tried={}, settling={}, settles_later=None, beyond={}, error=np.nan
+        )
+        for name, unit in _units(scene)
+    ]
     ways = [way for way in ways if way.largest > 0.0]
 
-    def run(sizes: Callable[[_Way], list[float]]) -> None:
-        rows = [(way, size) for way in ways for size in sizes(way) if size not in way.tried]
+    def run(sizes: Callable[[Direction], list[float]]) -> None:
+        rows = [(i, size) for i, way in enumerate(ways) for size in sizes(way) if size not in way.tried]
         if not rows:
             return
-        moves = np.array([size * way.unit for way, size in rows])
+        moves = np.array([size * ways[i].unit for i, size in rows])
         features, _ = scene.image(scene.home.moved(moves))
         ends = trial.ends({"target.desired_features": features})
-        for k, (way, size) in enumerate(rows):
+        for k, (i, size) in enumerate(rows):
+            way = ways[i]
             if not ends.ran[k]:
-                way.largest, way.limited_by = min(way.largest, size), "core"
+                ways[i] = replace(way, largest=min(way.largest, size), limited_by="core")
                 continue
             way.tried[size] = bool(ends.settled[k])
             excess = ends.excess[k]
@@ -285,15 +276,15 @@ def _directions(scene: Scene, trial: _Trial) -> tuple[Direction, ...]:
             if ends.settled[k]:
                 way.settling[size] = float(ends.times[k])
 
-    def grid(way: _Way) -> list[float]:
+    def grid(way: Direction) -> list[float]:
         sizes = [way.largest * k / _GRID for k in range(1, _GRID + 1)]
         return [*sizes, 1.0] if way.name == "own" and way.largest >= 1.0 else sizes
 
-    def quarters(way: _Way) -> list[float]:
+    def quarters(way: Direction) -> list[float]:
         low, high = border(way.tried)
         return [] if high is None else [low + part * (high - low) for part in (0.25, 0.5, 0.75)]
 
-    def between(way: _Way) -> list[float]:
+    def between(way: Direction) -> list[float]:
         """Return sizes halfway between those of the grid, below the border: a smaller one may fail."""
         high = border(way.tried)[1] or way.largest
         return [size for k in range(_GRID) if (size := way.largest * (k + 0.5) / _GRID) < high]
@@ -303,10 +294,12 @@ def _directions(scene: Scene, trial: _Trial) -> tuple[Direction, ...]:
     for _ in range(_ROUNDS):
         run(quarters)
     later = _settles_later(scene, trial, ways)
-    return tuple(_described(scene, way, settles) for way, settles in zip(ways, later, strict=True))
+    return tuple(
+        replace(way, settles_later=settles, error=_error(scene, way)) for way, settles in zip(ways, later, strict=True)
+    )
 
 
-def _settles_later(scene: Scene, trial: _Trial, ways: list[_Way]) -> list[bool | None]:
+def _settles_later(scene: Scene, trial: _Trial, ways: list[Direction]) -> list[bool | None]:
     """Run the smallest sizes that fail for longer, since they may only be slow."""
     failed = [border(way.tried)[1] for way in ways]
     rows = [i for i, size in enumerate(failed) if size is not None]
@@ -359,23 +352,12 @@ def _leg_limit(scene: Scene, pose: Poses) -> str:
     return "singularity" if nearest.within else nearest.limit
 
 
-def _described(scene: Scene, way: _Way, settles_later: bool | None) -> Direction:
-    settles_to = border(way.tried)[0]
-    error = np.nan
-    if settles_to > 0.0:
-        goal = scene.home.moved(settles_to * way.unit)
-        error = float(np.abs(scene.image(goal)[0] - scene.image(scene.home)[0]).max())
-    return Direction(
-        way.name,
-        way.unit,
-        way.largest,
-        way.limited_by,
-        way.tried,
-        way.settling,
-        settles_later,
-        way.beyond,
-        error,
-    )
+def _error(scene: Scene, way: Direction) -> float:
+    """Return the largest |xi_d - xi| [px] at the start for the size `settles_to`, NaN for none."""
+    if way.settles_to == 0.0:
+        return float("nan")
+    goal = scene.home.moved(way.settles_to * way.unit)
+    return float(np.abs(scene.image(goal)[0] - scene.image(scene.home)[0]).max())
 
 
 # ---- Camera times ---------------------------------------------------------------------------------------------------

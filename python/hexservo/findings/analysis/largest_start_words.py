@@ -9,10 +9,8 @@ import numpy as np
 
 from hexservo.findings.analysis.largest_start import Direction, LargestStart, Timing
 from hexservo.findings.analysis.words import number, open_section
-from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict
+from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict, picked
 from hexservo.scenario.laws import LAWS
-
-__all__ = ["border_words", "section"]
 
 PAGE = "docs/analysis/largest_start.md"
 
@@ -250,14 +248,7 @@ def _data(found: LargestStart) -> dict[str, Any]:
         "runs": found.runs,
         "directions": [
             {
-                "name": d.name,
-                "unit": d.unit,
-                "settles_to": d.settles_to,
-                "fails_at": d.fails_at,
-                "settles_later": d.settles_later,
-                "settles_again": d.settles_again,
-                "largest": d.largest,
-                "limited_by": d.limited_by,
+                **picked(d, "name unit settles_to fails_at settles_later settles_again largest limited_by"),
                 "image_error": d.error,
                 "beyond_limits": d.beyond_limits,
                 "sizes": sorted(d.tried),
@@ -267,12 +258,7 @@ def _data(found: LargestStart) -> dict[str, Any]:
         ],
         "timings": [
             {
-                "what": t.what,
-                "prediction": t.prediction,
-                "other": t.other,
-                "settles_to": t.settles_to,
-                "fails_at": t.fails_at,
-                "limited_by": t.limited_by,
+                **picked(t, "what prediction other settles_to fails_at limited_by"),
                 "times": sorted(t.tried),
                 "settled": [t.tried[time] for time in sorted(t.tried)],
             }

@@ -18,17 +18,6 @@ from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario
 
-__all__ = [
-    "LinearLaw",
-    "LinearPlant",
-    "NoRestError",
-    "NotFiniteError",
-    "RestPose",
-    "linear_law",
-    "linear_plant",
-    "rest_of",
-]
-
 _POSE_STEP = 1e-6  # of the finite differences [m; rad]: far below a membership's width, far above rounding
 _TWIST_STEP = 1e-6  # [m/s; rad/s], and at most a thousandth of the switching width
 _ROUNDS = 40  # of the searches for the pose of rest

@@ -14,9 +14,6 @@ import numpy as np
 
 from hexservo.scenario.arrays import Array, Complex
 
-__all__ = ["BORDER", "Actuation", "Clock", "SampledLoop"]
-
-
 BORDER = 1.0 + 1e-8
 """A spectral radius beyond it counts as unstable: closer to 1 rounding and finite differences decide."""
 
@@ -301,10 +298,6 @@ class SampledLoop:
         """Eigenvalues of the pattern without the modes of `resting`, largest first."""
         values = np.linalg.eigvals(self._reduced(clock)[0]).astype(complex)
         return np.asarray(values[np.argsort(-np.abs(values), kind="stable")])
-
-    def radius(self, clock: Clock) -> float:
-        """Spectral radius of the pattern without the modes of `resting`."""
-        return float(np.abs(self.multipliers(clock)[0]))
 
     def motion(self, clock: Clock, multiplier: complex) -> Complex:
         """Return the displacement (n,) at the pattern's start of the mode whose multiplier is nearest, of length 1."""

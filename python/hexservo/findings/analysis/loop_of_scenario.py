@@ -19,7 +19,7 @@ from hexservo.findings.analysis.linear_law import (
 )
 from hexservo.findings.analysis.linear_loop import Actuation, Clock, SampledLoop
 from hexservo.findings.analysis.scene import AT_HOME, AT_REST, scene_of
-from hexservo.run.simulation import simulate
+from hexservo.run.simulation import simulate, uninterrupted
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.fitted import gains_written
 from hexservo.scenario.keys import value_at
@@ -27,20 +27,6 @@ from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.pixels import on_pinhole
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.yaml import ScenarioError
-
-__all__ = [
-    "LoopAtRest",
-    "NotApplicableError",
-    "at_rest_at_home",
-    "clock_of",
-    "growth",
-    "loop_at_rest",
-    "loop_with_weights",
-    "proportional_gains",
-    "quiet",
-    "require_forces",
-    "scaled",
-]
 
 _PROPORTIONAL = ("kp", "kt", "drive", "gain", "gain_far")
 
@@ -328,9 +314,7 @@ def growth(
     }
     if scenario.controller.traits.switching and not with_kv:
         changes[f"controller.{scenario.controller.law}.kv"] = 0.0
-    result = simulate(scenario.updated(changes))
-    if result.outcome == "interrupted":  # no statement on stability
-        raise KeyboardInterrupt
+    result = uninterrupted(simulate(scenario.updated(changes)))
     if result.outcome != "completed":
         # Forward kinematics of legs of some metres may miss its tolerance: no statement on stability.
         lost = result.outcome == "solver_failed" and np.max(np.abs(result.feature_error[-1])) < 1.0

@@ -11,10 +11,8 @@ import numpy as np
 from hexservo.findings.analysis.words import number, open_section
 from hexservo.findings.evidence import Section
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.keys import numeric_keys
+from hexservo.scenario.keys import numeric_keys, value_at
 from hexservo.scenario.scenario import Scenario, load_scenario
-
-__all__ = ["NotComputed", "not_computed"]
 
 _EXTREME = 1e4  # factor between a number of a scenario and those of `paper` from which it is named
 _NAMED = 3  # keys at most
@@ -81,9 +79,7 @@ def _extreme(scenario: Scenario) -> list[tuple[str, float]]:
 def _decades(scenario: Scenario, law: str) -> Iterator[tuple[str, Array]]:
     """Yield log10 of the sizes of the numbers that are not zero, by key."""
     for key in numeric_keys(law):
-        value: object = scenario
-        for part in key.split("."):
-            value = getattr(value, part)
+        value = value_at(scenario, key)
         if value is None or isinstance(value, str):  # no number: a default, or a table by its name
             continue
         sizes = np.abs(np.asarray(value, dtype=float).ravel())

@@ -12,17 +12,6 @@ from hexservo.scenario.arrays import Array
 from hexservo.scenario.pixels import has_pixels, points_outside
 from hexservo.scenario.scenario import Scenario
 
-__all__ = [
-    "DEPTH_SHARE",
-    "Placement",
-    "corner_angles",
-    "image_radius",
-    "in_circle",
-    "place",
-    "placements",
-    "shape_name",
-]
-
 RADIUS = 240.0  # [px], half the height of a picture of 640 x 480, where the scenario names no size
 BORDER = 0.95  # share of half the picture that is used, where the scenario names its size
 DEPTH_SHARE = 0.1  # of the depth: how far a point may be off the plane, either way

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from hexservo.run.samples import unit_rotation_vectors
 from hexservo.scenario.arrays import Array, Mask
 
-__all__ = ["Poses", "by_displacement", "without_sign"]
-
 
 @dataclass(frozen=True, eq=False)
 class Poses:

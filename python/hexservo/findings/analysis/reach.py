@@ -14,16 +14,6 @@ from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import quantity
 
-__all__ = [
-    "LEG_LIMITS",
-    "LegLimitKind",
-    "LegMargin",
-    "StartAndGoal",
-    "leg_margin",
-    "nearest_limit",
-    "reach_of_start_and_goal",
-]
-
 LegLimitKind: TypeAlias = Literal["stroke", "base_joint", "platform_joint"]
 LEG_LIMITS: tuple[LegLimitKind, ...] = ("stroke", "base_joint", "platform_joint")  # rows of `Scene.limits_used`
 

@@ -16,8 +16,6 @@ from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.parameters import gains_of
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["Rest", "RestLaw", "not_analysed"]
-
 _STEPS = np.repeat([1e-5, 1e-5], 3)  # [m; rad], of the central differences of a wrench
 
 
@@ -129,15 +127,15 @@ class Rest(Scene):
             wrench[seen] = self.probe.acceleration(there.position, there.quaternion, speed, wrench[seen])
         return wrench.reshape(*poses.shape, 6)
 
-    def stiffness(self, poses: Poses, step: float = 1e-6) -> Array:
+    def stiffness(self, poses: Poses) -> Array:
         """Return minus the derivative of `acceleration` by displacement, (..., 6, 6) [1/s^2], in `unit` on both sides.
 
-        Central differences: with steps near 1e-6 truncation and rounding leave about 1e-12 of the largest entry.
+        Central differences: with steps of 1e-6 truncation and rounding leave about 1e-12 of the largest entry.
         """
-        return self._slope(self.acceleration, poses, step)
+        return self._slope(self.acceleration, poses)
 
-    def _slope(self, of: Callable[[Poses], Array], poses: Poses, step: float = 1e-6) -> Array:
-        return -by_displacement(of, poses, step * self.unit) * self.unit / self.unit[:, None]
+    def _slope(self, of: Callable[[Poses], Array], poses: Poses) -> Array:
+        return -by_displacement(of, poses, 1e-6 * self.unit) * self.unit / self.unit[:, None]
 
     def settled(
         self, starts: Poses, rounds: int = 10, of: Callable[[Poses], Array] | None = None

@@ -17,8 +17,6 @@ from hexservo.scenario.parameters import Settings, core_parameters
 from hexservo.scenario.pixels import desired_features, has_pixels, pixel_slopes, to_features
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["AT_HOME", "AT_REST", "WIDER", "Scene", "View", "scene_of"]
-
 # Half widths of the region about home that is searched beside the workspace [mean depth; rad].
 WIDER = np.array([0.7, 0.7, 0.7, 0.6, 0.6, np.pi])
 

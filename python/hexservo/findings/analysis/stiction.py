@@ -18,8 +18,6 @@ from hexservo.scenario.laws import Fuzzy, laws_with
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number
 
-__all__ = ["Creep", "Stiction", "StictionCase", "analyse"]
-
 _GROWTH = 1.0  # exponent by which a direction may grow in a run and still be followed linearly
 
 Kind: TypeAlias = Literal["set", "creep", "integrated", "none", "open"]

@@ -14,8 +14,6 @@ from hexservo.findings.analysis.stiction_set import Extremes, RestSet
 from hexservo.run.batch import simulate_batch, whole
 from hexservo.scenario.arrays import Array, Mask
 
-__all__ = ["COUNT", "Runs", "run"]
-
 COUNT = 64  # goals, the scenario's own the first
 _DURATION = 2.0  # [s], at most
 _STEPS = 4000  # at most

@@ -12,8 +12,6 @@ from hexservo.findings.analysis.rest import RestLaw
 from hexservo.findings.analysis.scene import Scene, View
 from hexservo.scenario.arrays import Array
 
-__all__ = ["SPAN", "Extremes", "RestSet", "confirmed", "extremes"]
-
 SPAN = 0.2  # of the points' mean depth, and in rad: farther than this no image is called linear
 _ROUNDING = 1e-12  # of the stroke: what a leg at its limit stays within it, whatever its length is rounded to
 

@@ -10,9 +10,7 @@ from hexservo.findings.analysis.stiction import Stiction, StictionCase
 from hexservo.findings.analysis.stiction_runs import Runs
 from hexservo.findings.analysis.stiction_set import SPAN
 from hexservo.findings.analysis.words import number
-from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict
-
-__all__ = ["section"]
+from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict, picked
 
 PAGE = "docs/analysis/stiction.md"
 _BORDER = 1.01  # times K_v: viscous damping lets a platform end on the border of the set, where it comes to rest slowly
@@ -70,7 +68,7 @@ def _sentences(found: Stiction) -> list[str]:
             words.append(f"{case.name}: up to {number(case.ends.largest)} px.")
         else:
             words.append(f"{case.name}: no pose within the stroke.")
-    words += [_of_runs(found, runs) for runs in found.runs]
+    words += [_of_runs(runs) for runs in found.runs]
     return words
 
 
@@ -124,7 +122,7 @@ def _of_creep(found: Stiction) -> str:
     return text + "."
 
 
-def _of_runs(found: Stiction, runs: Runs) -> str:
+def _of_runs(runs: Runs) -> str:
     counted = runs.counted
     with_fuzzy = "with" if runs.fuzzy else "without"
     bound = runs.bound
@@ -289,10 +287,7 @@ def _run_curves(found: Stiction) -> Curves:
 
 def _data(found: Stiction) -> dict[str, object]:
     return {
-        "kind": found.kind,
-        "reason": found.reason,
-        "kv": found.kv,
-        "gravity_error": found.gravity_error,
+        **picked(found, "kind reason kv gravity_error"),
         "creep_times": None if found.creep is None else found.creep.times,
         "creep_left": None if found.creep is None else found.creep.left,
         "fuzzy_straight_way": found.straight_way,
@@ -314,16 +309,7 @@ def _data(found: Stiction) -> dict[str, object]:
         if found.around_home is None or found.around_home.ends is None
         else found.around_home.ends.largest,
         "runs": [
-            {
-                "fuzzy": runs.fuzzy,
-                "duration": runs.duration,
-                "bound": runs.bound,
-                "counted": runs.counted,
-                "start_error": runs.start_error,
-                "final_error": runs.final_error,
-                "start_share": runs.start_share,
-                "final_share": runs.final_share,
-            }
+            picked(runs, "fuzzy duration bound counted start_error final_error start_share final_share")
             for runs in found.runs
         ],
     }

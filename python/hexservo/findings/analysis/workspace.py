@@ -14,8 +14,6 @@ from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["RANDOM", "WAY", "Reach", "Workspace", "WorkspacePose", "analyse", "reach"]
-
 RANDOM = 100  # directions of the random reach, and poses of a neighbourhood
 _ROUNDS = 2000  # of the march to a limit, at most
 _CRANK_STEPS, _CRANK_ROUNDS = 200, 20000  # of the same with cranks: steps in a stroke, and at most

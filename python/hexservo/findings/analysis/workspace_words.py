@@ -10,8 +10,6 @@ from hexservo.findings.analysis.words import number
 from hexservo.findings.analysis.workspace import RANDOM, WAY, Reach, Workspace, WorkspacePose
 from hexservo.findings.evidence import Column, HeatMap, Line, Section, Table, Verdict
 
-__all__ = ["section"]
-
 PAGE = "docs/analysis/workspace.md"
 _SLIM = 0.1  # of stroke, force limit or distance to singularity: less than this is worth a warning
 _AXES = "xyz"

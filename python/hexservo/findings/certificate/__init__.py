@@ -92,7 +92,7 @@ def certify(result: Result) -> Certificate:
             plant = Plant.of(run)
             uncertainty = uncertainty_of(run, plant)
             assumption = assumption_of(run, uncertainty)
-            lyapunov = lyapunov_of(run, plant, uncertainty, assumption)
+            lyapunov = lyapunov_of(run, uncertainty, assumption)
         except ArithmeticError as error:
             open_questions |= dict.fromkeys(("lyapunov", "assumption"), f"No best weights: {error}.")
     energy: EnergyLedger | None = None

@@ -17,12 +17,10 @@ from hexservo.findings.evidence import as_data
 from hexservo.findings.part import Part
 from hexservo.run.metrics import metrics
 from hexservo.run.progress import reporting
-from hexservo.run.variations import checked_variations, known_key, plain_row
+from hexservo.run.variations import changes_of_run, checked_variations
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.laws import THEOREM_LAW
 from hexservo.scenario.scenario import Scenario, require_scenario
-
-__all__ = ["BatchCertificate", "certify_batch"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -113,7 +111,7 @@ def certify_batch(
         raise ValueError("simulation.mode: expected continuous, of which the theorem is, got sampled")
     arrays = checked_variations(scenario, variations)
     count = max(len(values) for values in arrays.values())
-    scenarios = [scenario.updated(_row(scenario, arrays, index)) for index in range(count)]
+    scenarios = [scenario.updated(changes_of_run(arrays, scenario.controller.law, index)) for index in range(count)]
     for index, varied in enumerate(scenarios):
         if reason := scene_of(varied).unusual_body:
             raise ValueError(f"scenario {index}: robot: expected the body of the paper, got another: {reason}")
@@ -130,10 +128,3 @@ def certify_batch(
             outcome[index], settling_time[index] = result.outcome, metrics(result)["settling_time"]
             report(index + 1, count)
     return BatchCertificate(scenario, arrays, outcome, settling_time, eta, margin, held)
-
-
-def _row(scenario: Scenario, arrays: Mapping[str, Array], index: int) -> dict[str, Any]:
-    law = scenario.controller.law
-    return {
-        key: plain_row(known_key(key, law), values[index if len(values) > 1 else 0]) for key, values in arrays.items()
-    }

@@ -6,9 +6,7 @@ import numpy as np
 
 from hexservo.findings.certificate.batch import BatchCertificate
 from hexservo.findings.certificate.uncertainty import AXES
-from hexservo.findings.evidence import Column, Section, Table
-
-__all__ = ["section"]
+from hexservo.findings.evidence import Column, Section, Table, picked
 
 PAGE = "docs/certificate/batch.md"
 
@@ -65,9 +63,6 @@ def section(found: BatchCertificate) -> Section:
             "not_held_and_settled": int(counts[1, 0]),
             "not_held_and_not_settled": int(counts[1, 1]),
             "outcome": list(map(str, found.outcome)),
-            "settling_time": found.settling_time,
-            "eta": found.eta,
-            "margin": found.margin,
-            "held_by_axis": found.held_by_axis,
+            **picked(found, "settling_time eta margin held_by_axis"),
         },
     )

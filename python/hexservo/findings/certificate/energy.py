@@ -16,8 +16,6 @@ from hexservo.scenario.laws import laws_with
 from hexservo.scenario.leg_units import stroke_length
 from hexservo.scenario.wording import number
 
-__all__ = ["EnergyLedger", "energy_ledger"]
-
 COARSE = 0.01  # share of the turnover: with a larger tolerance of the quadrature the step is too coarse
 NEGLIGIBLE = 1e-3  # of the work of lifting the weight by the stroke
 _ROUNDING = 1e-12  # of the turnover
@@ -93,7 +91,7 @@ def energy_ledger(run: Replay, plant: Plant) -> EnergyLedger:
     if run.continuous and _smooth(run):
         tolerance, paired = _doubled(run, plant, plain)
         by_parts[np.concatenate([paired, paired + 1])] = False
-    for stages in stages_of(run, plant):
+    for stages in stages_of(run):
         wrenches = terms.wrenches(stages, plant)
         rows = len(stages.tick)
         inertia_there = plant.inertia(stages.rows("quaternion"))

@@ -6,10 +6,8 @@ import numpy as np
 
 from hexservo.findings.certificate.energy import EnergyLedger
 from hexservo.findings.certificate.words import stride
-from hexservo.findings.evidence import Column, Curves, Line, Section, Table
+from hexservo.findings.evidence import Column, Curves, Line, Section, Table, picked
 from hexservo.scenario.wording import joules
-
-__all__ = ["section"]
 
 PAGE = "docs/certificate/energy.md"
 
@@ -100,10 +98,7 @@ def section(found: EnergyLedger) -> Section:
             "works": {term: found.work(term) for term in found.works},
             "works_by_component": {term: found.by_axis[term] for term in found.works},
             "change_of_kinetic_energy": change,
-            "residual": found.residual,
-            "tolerance": found.tolerance,
-            "turnover": found.turnover,
-            "mismatch": found.mismatch,
+            **picked(found, "residual tolerance turnover mismatch"),
             "sign_changes": found.crossings,
             "signs_by_rounding": found.tossed,
             "closes": found.closes,

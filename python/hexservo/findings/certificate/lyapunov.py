@@ -7,14 +7,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hexservo.findings.certificate.replay import Plant, Replay, sgn_breaks
+from hexservo.findings.certificate.replay import Replay, sgn_breaks
 from hexservo.findings.certificate.uncertainty import Assumption, DeltaTau
 from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.parameters import gains_of
-
-__all__ = ["Lyapunov", "Rise", "differentiate", "lyapunov_of"]
-
 
 # Central differences of a function at distances 1, 2, 3, by half width; errors of order 4 and 6.
 _STENCILS = {2: (8 / 12, -1 / 12), 3: (45 / 60, -9 / 60, 1 / 60)}
@@ -86,7 +83,7 @@ class Lyapunov(Part):
         return float(self.change.max()) > _ABOVE * float(np.ptp(self.change))
 
 
-def lyapunov_of(run: Replay, plant: Plant, uncertainty: DeltaTau, assumption: Assumption) -> Lyapunov:
+def lyapunov_of(run: Replay, uncertainty: DeltaTau, assumption: Assumption) -> Lyapunov:
     """Follow V along a run of the law `hybrid` in continuous mode, with the best weights of `assumption`."""
     settings = run.settings
     gains = gains_of(settings)

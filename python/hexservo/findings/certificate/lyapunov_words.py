@@ -10,8 +10,6 @@ from hexservo.findings.certificate.words import stride
 from hexservo.findings.evidence import Column, Curves, Line, Section, Table, Verdict
 from hexservo.scenario.wording import joules, number
 
-__all__ = ["section"]
-
 PAGE = "docs/certificate/lyapunov.md"
 _ROWS = 12  # of the table of rises, at most
 

@@ -9,13 +9,10 @@ import numpy as np
 
 from hexservo import _core
 from hexservo.run.result import Result, require_result
-from hexservo.run.simulation import simulate
+from hexservo.run.simulation import simulate, uninterrupted
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.parameters import Settings, core_parameters
 from hexservo.scenario.scenario import Scenario
-
-__all__ = ["Plant", "Replay", "every_step", "product", "replay", "replay_of", "sgn_breaks"]
-
 
 # what two runs are compared by -> unit
 _COMPARED = {
@@ -109,10 +106,7 @@ def every_step(scenario: Scenario) -> Result:
     KeyboardInterrupt
         Where the user stops the run: what is there of it is of no use here.
     """
-    run = simulate(scenario.updated({"simulation.log_every": 1}), log_weights=True)
-    if run.outcome == "interrupted":
-        raise KeyboardInterrupt
-    return run
+    return uninterrupted(simulate(scenario.updated({"simulation.log_every": 1}), log_weights=True))
 
 
 def replay_of(
@@ -129,16 +123,7 @@ def replay_of(
     return Replay(
         scenario=scenario,
         own=own,
-        time=run.time[:count],
-        features=run.features[:count],
-        feature_error=run.feature_error[:count],
-        depth=run.depth[:count],
-        position=run.position[:count],
-        quaternion=run.quaternion[:count],
-        twist=run.twist[:count],
-        wrench=run.wrench[:count],
-        fuzzy_output=run.fuzzy_output[:count],
-        leg_forces=run.leg_forces[:count],
+        **{name: getattr(run, name)[:count] for name in ("time", "features", *_COMPARED, "leg_forces")},
         weights=None if run.weight_history is None else run.weight_history[:count],
         differences=differences or {},
         settings=settings,

@@ -10,17 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexservo import _core
-from hexservo.findings.certificate.replay import Plant, Replay
+from hexservo.findings.certificate.replay import Replay
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.motion import moves
 from hexservo.scenario.parameters import core_parameters
-
-__all__ = ["STAGE_WEIGHTS", "Stages", "doubled_stages_of", "stages_of"]
 
 STAGE_WEIGHTS = np.array([1.0, 2.0, 2.0, 1.0]) / 6.0
 """Of the classic Runge-Kutta method, which are those of its quadrature too."""
 
 _CHUNK = 2048  # steps at a time: what they need stays in the processor's cache, or near it
+
+# of steps that the core repeats, under its names
+_TAKEN = (
+    *("features", "depth", "position", "quaternion", "twist", "wrench", "fuzzy_output", "acceleration"),
+    *("next_quaternion", "next_twist"),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +62,7 @@ class Stages:
         return self if rows.all() else replace(self, **{name: value[rows] for name, value in arrays.items()})
 
 
-def stages_of(run: Replay, plant: Plant) -> Iterator[Stages]:
+def stages_of(run: Replay) -> Iterator[Stages]:
     """Return the stages of all steps between the run's samples, some at a time."""
     for first in range(0, len(run.time) - 1, _CHUNK):
         ticks = np.arange(first, min(first + _CHUNK, len(run.time) - 1))
@@ -88,19 +92,10 @@ def _continuous(run: Replay, ticks: NDArray[np.intp], probe: _core.Probe, step: 
     return Stages(
         tick=ticks,
         step=step,
-        features=taken.features,
-        depth=taken.depth,
-        position=taken.position,
-        quaternion=taken.quaternion,
-        twist=taken.twist,
-        wrench=taken.wrench,
-        fuzzy_output=taken.fuzzy_output,
+        **{name: getattr(taken, name) for name in _TAKEN},
         base=None,
-        acceleration=taken.acceleration,
         start_quaternion=run.quaternion[ticks],
         start_twist=run.twist[ticks],
-        next_quaternion=taken.next_quaternion,
-        next_twist=taken.next_twist,
         to_sample=step == run.step,
     )
 
@@ -139,6 +134,7 @@ def _sampled(run: Replay, ticks: NDArray[np.intp]) -> Iterator[Stages]:
                 }
             )
         joined = {name: np.stack([stage[name] for stage in stages], axis=1) for name in stages[0]}
+        base = joined.pop("base")
         after = run.probe.after(*body, joined["quaternion"], joined["twist"], joined["acceleration"], step)
         features = depth = None
         if run.scenario.camera.convention == "eye_in_hand":
@@ -149,13 +145,9 @@ def _sampled(run: Replay, ticks: NDArray[np.intp]) -> Iterator[Stages]:
             step=step,
             features=features,
             depth=depth,
-            position=joined["position"],
-            quaternion=joined["quaternion"],
-            twist=joined["twist"],
-            wrench=joined["wrench"],
+            **joined,
             fuzzy_output=None,
-            base=joined["base"] if base_moves else None,
-            acceleration=joined["acceleration"],
+            base=base if base_moves else None,
             start_quaternion=body[1],
             start_twist=body[2],
             next_quaternion=after[1],

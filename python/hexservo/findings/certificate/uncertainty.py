@@ -13,8 +13,6 @@ from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.parameters import gains_of
 
-__all__ = ["AXES", "UNITS", "Assumption", "DeltaTau", "assumption_of", "uncertainty_of"]
-
 AXES = ("force x", "force y", "force z", "moment x", "moment y", "moment z")
 UNITS = ("N", "N", "N", "N m", "N m", "N m")
 _ROUNDING = 1e-12  # of the largest force or moment: gamma is a difference of such numbers

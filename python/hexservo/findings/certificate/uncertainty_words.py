@@ -6,10 +6,8 @@ import numpy as np
 
 from hexservo.findings.certificate.uncertainty import AXES, UNITS, Assumption
 from hexservo.findings.certificate.words import stride
-from hexservo.findings.evidence import Column, Curves, Line, Section, Table
+from hexservo.findings.evidence import Column, Curves, Line, Section, Table, picked
 from hexservo.scenario.wording import number
-
-__all__ = ["section"]
 
 PAGE = "docs/certificate/assumption.md"
 
@@ -93,11 +91,7 @@ def section(found: Assumption) -> Section:
         items=(table, curves) if curves.lines else (table,),
         verdict="good" if bool(found.held.all()) else "warning",
         data={
-            "kv": found.kv,
-            "eta": found.eta,
-            "lower_bound": found.lower_bound,
-            "margin": found.margin,
-            "held": found.held,
+            **picked(found, "kv eta lower_bound margin held"),
             "held_on_all_axes": bool(found.held.all()),
             "largest_uncertainty": found.largest,
             "time_of_largest_error": found.instants,

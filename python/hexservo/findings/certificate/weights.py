@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from hexservo.scenario.arrays import Array, Mask
 
-__all__ = ["LIMIT", "TIE", "BestWeights", "best_weights"]
-
 LIMIT = 1e3
 """Largest weight that is tried, in units of the largest target."""
 TIE = 1e-6

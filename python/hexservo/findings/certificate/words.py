@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["stride"]
-
 _SHOWN = 1500  # points of a curve, at most
 
 

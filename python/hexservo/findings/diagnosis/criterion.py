@@ -10,8 +10,6 @@ import numpy as np
 
 from hexservo.scenario.arrays import Array
 
-__all__ = ["DRIFT_TIME", "Allowed", "Judgement", "Record", "judge", "make_record"]
-
 DRIFT_TIME = 30.0
 """[s]: a leg that still moves so fast at the end that it would leave its stroke within this time is a failure."""
 _DECADES = 3.0  # of what is allowed, over which the severity of a kind of failure grows

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from hexservo.findings.diagnosis.environment import (
     ordinary,
     unknown_payload,
 )
-from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal
+from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal, always, removed_by
 from hexservo.findings.diagnosis.remedies import (
     gravity_remedies,
     late_camera_remedies,
@@ -31,37 +30,12 @@ from hexservo.scenario.keys import keys_below, value_at
 from hexservo.scenario.laws import laws_with
 from hexservo.scenario.parameters import core_parameters, frame_period
 
-__all__ = ["DEVICES"]
-
 _IMAGE = frozenset({"camera.period", "camera.latency", "camera.latency_jitter", "camera.prediction"})
 _ENCODERS = frozenset({"sensors.pose", "sensors.rate", "sensors.period"})
 
 
 def _keys(*names: str) -> frozenset[str]:
     return frozenset(names)
-
-
-def _sampled(case: Case) -> bool:
-    return case.sampled
-
-
-def _without(
-    key: str, none: object, words: str, *, of: Callable[[Case], bool] = _sampled
-) -> Callable[[Case], list[Removal]]:
-    """Return what removes a device's fault: its key set to the value that stands for no fault.
-
-    Parameters
-    ----------
-    of
-        Whether a case has that device.
-    """
-
-    def removals(case: Case) -> list[Removal]:
-        if not of(case) or value_at(case.scenario, key) == none:
-            return []
-        return [Removal(words, {key: none})]
-
-    return removals
 
 
 def _base_at_rest(case: Case) -> list[Removal]:
@@ -182,18 +156,6 @@ def _gravity_alone(case: Case) -> list[Alone]:
     return [Alone(without, wrong), Alone({**without, **usual}, {**wrong, **usual})]
 
 
-def _inertia(case: Case) -> list[Removal]:
-    if not np.any(case.scenario.uncertainty.inertia):
-        return []
-    return [Removal("an exact estimate of the inertia", {"uncertainty.inertia": 0.0})]
-
-
-def _coriolis(case: Case) -> list[Removal]:
-    if not np.any(case.scenario.uncertainty.coriolis):
-        return []
-    return [Removal("an exact estimate of the Coriolis terms", {"uncertainty.coriolis": 0.0})]
-
-
 _CALIBRATION: dict[str, Any] = {
     "uncertainty.mount.position": [0.0] * 3,
     "uncertainty.mount.rotation": [0.0] * 3,
@@ -240,27 +202,24 @@ def _common_depth_alone(case: Case) -> list[Alone]:
 # ---- The list -------------------------------------------------------------------------------------------------------
 
 DEVICES: tuple[Cause, ...] = (
-    Cause("wrong_sign", "the sign of the image Jacobian", "device", _keys("controller.jacobian"), _sign),
+    Cause("wrong_sign", "the sign of the image Jacobian", _keys("controller.jacobian"), _sign),
     Cause(
         "saturation",
         "saturation of the actuators",
-        "device",
         _keys("actuators.saturation", "robot.force_limit"),
-        _without("actuators.saturation", False, "legs without a force limit"),
+        removed_by("actuators.saturation", False, "legs without a force limit"),
         saturation_remedies,
     ),
     Cause(
         "image_timeout",
         "images that time out",
-        "device",
         _keys("camera.timeout"),
-        _without("camera.timeout", None, "images without an age limit"),
+        removed_by("camera.timeout", None, "images without an age limit"),
         context=_IMAGE | {"camera.dropout", "camera.image_size", "camera.on_lost"},
     ),
     Cause(
         "brake",
         "gains of the brake that acts without an image",
-        "device",
         _keys("controller.safe.damping", "controller.safe.hold"),
         _brake,
         context=_IMAGE | {"camera.timeout", "camera.dropout", "camera.image_size", "camera.on_lost"},
@@ -268,7 +227,6 @@ DEVICES: tuple[Cause, ...] = (
     Cause(
         "lost_features",
         "lost features",
-        "device",
         _keys("camera.dropout", "camera.image_size", "camera.on_lost"),
         _lost_features,
         lost_features_remedies,
@@ -277,7 +235,6 @@ DEVICES: tuple[Cause, ...] = (
     Cause(
         "outliers",
         "outliers among the features",
-        "device",
         _keys("camera.outlier_probability", "camera.outlier_size"),
         _outliers,
         context=_IMAGE,
@@ -285,132 +242,126 @@ DEVICES: tuple[Cause, ...] = (
     Cause(
         "pixel_noise",
         "noise of the features",
-        "device",
         _keys("camera.noise"),
-        _without("camera.noise", 0.0, "features without noise"),
+        removed_by("camera.noise", 0.0, "features without noise"),
         context=_IMAGE,
     ),
     Cause(
         "pixel_quantisation",
         "features that are rounded",
-        "device",
         _keys("camera.quantisation"),
-        _without("camera.quantisation", 0.0, "features that are not rounded"),
+        removed_by("camera.quantisation", 0.0, "features that are not rounded"),
         context=_IMAGE,
     ),
     Cause(
         "image_smoothing",
         "image coordinates that are smoothed while the camera moves",
-        "device",
         _keys("camera.smoothing"),
-        _without("camera.smoothing", 0.0, "image coordinates that are not smoothed"),
+        removed_by("camera.smoothing", 0.0, "image coordinates that are not smoothed"),
         slower_remedies,
         context=_IMAGE,
     ),
     Cause(
         "latency_error",
         "a latency that is assumed wrong",
-        "device",
         _keys("uncertainty.latency"),
-        _without("uncertainty.latency", 0.0, "the latency that the camera has"),
+        removed_by("uncertainty.latency", 0.0, "the latency that the camera has"),
         context=_IMAGE,
     ),
     Cause(
         "encoder_noise",
         "noise of the encoders",
-        "device",
         _keys("sensors.noise"),
-        _without("sensors.noise", 0.0, "encoders without noise", of=_with_encoders),
+        removed_by("sensors.noise", 0.0, "encoders without noise", of=_with_encoders),
         slower_remedies,
         context=_ENCODERS,
     ),
     Cause(
         "encoder_resolution",
         "resolution of the encoders",
-        "device",
         _keys("sensors.resolution"),
-        _without("sensors.resolution", 0.0, "encoders with exact resolution", of=_with_encoders),
+        removed_by("sensors.resolution", 0.0, "encoders with exact resolution", of=_with_encoders),
         slower_remedies,
         context=_ENCODERS,
     ),
     Cause(
         "encoder_period",
         "encoders that are read too seldom",
-        "device",
         _keys("sensors.period"),
         _encoder_period,
         slower_remedies,
         context=_ENCODERS - {"sensors.period"},
     ),
-    Cause("encoders", "pose and twist from leg lengths", "device", _keys("sensors.pose", "sensors.rate"), _encoders),
+    Cause("encoders", "pose and twist from leg lengths", _keys("sensors.pose", "sensors.rate"), _encoders),
     Cause(
         "actuator_delay",
         "delay of the actuators",
-        "device",
         _keys("actuators.delay"),
-        _without("actuators.delay", 0.0, "actuators without delay"),
+        removed_by("actuators.delay", 0.0, "actuators without delay"),
         slower_remedies,
     ),
     Cause(
         "actuator_lag",
         "lag of the actuators",
-        "device",
         _keys("actuators.bandwidth"),
-        _without("actuators.bandwidth", None, "actuators without lag"),
+        removed_by("actuators.bandwidth", None, "actuators without lag"),
         slower_remedies,
     ),
     *DRIVES,
     Cause(
         "actuator_quantisation",
         "leg forces that are rounded",
-        "device",
         _keys("actuators.quantisation"),
-        _without("actuators.quantisation", 0.0, "leg forces that are not rounded"),
+        removed_by("actuators.quantisation", 0.0, "leg forces that are not rounded"),
     ),
     Cause(
         "actuator_hold",
         "leg forces that are held while the legs rotate",
-        "device",
         _keys("actuators.hold"),
-        _without("actuators.hold", "wrench", "a wrench that is held while the legs rotate"),
+        removed_by("actuators.hold", "wrench", "a wrench that is held while the legs rotate"),
     ),
     Cause(
         "base_motion",
         "motion of the base",
-        "device",
         _keys(*keys_below("base_motion"), "target.frame"),
         _base_at_rest,
     ),
     Cause(
         "target_motion",
         "motion of the target",
-        "device",
         _keys(*keys_below("target.motion")),
-        _without("target.motion.kind", "none", "a target at rest"),
+        removed_by("target.motion.kind", "none", "a target at rest"),
         alone=_target_motion_alone,
     ),
     Cause(
         "gravity",
         "a wrong weight",
-        "device",
         _keys("uncertainty.gravity", *(f"robot.payload.{name}" for name in Payload.model_fields)),
         _gravity,
         gravity_remedies,
         alone=_gravity_alone,
     ),
-    Cause("inertia", "a wrong inertia", "device", _keys("uncertainty.inertia"), _inertia),
-    Cause("coriolis", "wrong Coriolis terms", "device", _keys("uncertainty.coriolis"), _coriolis),
+    Cause(
+        "inertia",
+        "a wrong inertia",
+        _keys("uncertainty.inertia"),
+        removed_by("uncertainty.inertia", 0.0, "an exact estimate of the inertia", of=always),
+    ),
+    Cause(
+        "coriolis",
+        "wrong Coriolis terms",
+        _keys("uncertainty.coriolis"),
+        removed_by("uncertainty.coriolis", 0.0, "an exact estimate of the Coriolis terms", of=always),
+    ),
     Cause(
         "calibration",
         "a wrong calibration of the camera",
-        "device",
         _keys(*_CALIBRATION),
         _calibration,
     ),
     Cause(
         "unequal_depth",
         "unequal depth errors",
-        "device",
         _keys("uncertainty.depth"),
         _unequal_depth,
         unequal_depth_remedies,
@@ -419,7 +370,6 @@ DEVICES: tuple[Cause, ...] = (
     Cause(
         "common_depth",
         "depths that are all too large or too small",
-        "device",
         _keys("uncertainty.depth"),
         _common_depth,
         slower_remedies,
@@ -428,7 +378,6 @@ DEVICES: tuple[Cause, ...] = (
     Cause(
         "late_camera",
         "latency or rate of the camera",
-        "device",
         _keys("camera.period", "camera.latency", "camera.latency_jitter"),
         _late_camera,
         late_camera_remedies,

@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from hexservo.findings.diagnosis.environment import ORDINARY_BANDWIDTH, ideal
-from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal
+from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal, always, removed_by
 from hexservo.findings.diagnosis.remedies import slower_remedies
 from hexservo.scenario.keys import keys_below
-
-__all__ = ["DRIVES"]
 
 _FRICTION = "actuators.motor.friction"
 _MOTORS = frozenset({"actuators.kind", *keys_below("actuators.motor")})
@@ -52,12 +50,6 @@ def _motors_alone(case: Case) -> list[Alone]:
     return [Alone(ideal(case.scenario), {**_motors_kept(case), _FRICTION: 0.0})]
 
 
-def _friction(case: Case) -> list[Removal]:
-    if case.scenario.actuators.motor.friction == 0.0:
-        return []
-    return [Removal("legs without dry friction", {_FRICTION: 0.0})]
-
-
 def _friction_alone(case: Case) -> list[Alone]:
     kept = _motors_kept(case)
     return [Alone({**kept, _FRICTION: 0.0}, kept)]
@@ -67,7 +59,6 @@ DRIVES: tuple[Cause, ...] = (
     Cause(
         "position_lag",
         "lag of legs that follow positions",
-        "device",
         frozenset({"actuators.position.bandwidth", "actuators.position.damping"}),
         _position_lag,
         slower_remedies,
@@ -75,7 +66,6 @@ DRIVES: tuple[Cause, ...] = (
     Cause(
         "leg_rates",
         "speed and acceleration of legs that follow positions",
-        "device",
         frozenset({"actuators.position.speed_limit", "actuators.position.acceleration_limit"}),
         _leg_rates,
         slower_remedies,
@@ -83,7 +73,6 @@ DRIVES: tuple[Cause, ...] = (
     Cause(
         "motors",
         "motors that hold the legs softly, or reach their limit",
-        "device",
         _MOTORS - {"actuators.kind", _FRICTION},
         _motors,
         slower_remedies,
@@ -92,9 +81,8 @@ DRIVES: tuple[Cause, ...] = (
     Cause(
         "stick_slip",
         "dry friction of the legs, which stick and slip",
-        "device",
         frozenset({_FRICTION}),
-        _friction,
+        removed_by(_FRICTION, 0.0, "legs without dry friction", of=always),
         alone=_friction_alone,
     ),
 )

@@ -19,27 +19,6 @@ from hexservo.scenario.keys import default_of, keys_below, value_at
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.scenario import Scenario
 
-__all__ = [
-    "BASE_MOTIONS",
-    "DEVICE_BLOCKS",
-    "FINE_STEP",
-    "IMAGE_ALONE",
-    "OPTICS",
-    "ORDINARY",
-    "ORDINARY_BANDWIDTH",
-    "ORDINARY_BASE",
-    "ORDINARY_DEPTH",
-    "ORDINARY_WEIGHT",
-    "alone_at_its_gains",
-    "alone_pairs",
-    "both_alone",
-    "ideal",
-    "known",
-    "ordinary",
-    "unknown_payload",
-    "unusual",
-]
-
 BASE_MOTIONS = ("base_motion.kind", "base_motion.rotation.kind")
 DEVICE_BLOCKS = ("camera", "sensors", "actuators", "base_motion", "uncertainty")
 FINE_STEP = 1.0e-3  # [s], of an ordinary servo period or integration

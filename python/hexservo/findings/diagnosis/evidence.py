@@ -20,8 +20,6 @@ from hexservo.scenario.parameters import core_parameters, frame_period
 from hexservo.scenario.pixels import desired_features, points_outside
 from hexservo.scenario.wording import number
 
-__all__ = ["OF_THE_SCENARIO", "SIGNATURES", "Signature"]
-
 _TAIL = 0.25  # the last part of a run, in which it rests or does not
 _AT_REST = 0.02  # of the stroke, that the legs may move in it
 _AT_LIMIT = 0.999  # of the force limit
@@ -46,10 +44,6 @@ def _wrong_sign(case: Case, record: Record, judgement: Judgement) -> Signature:
         f"The error never decreases: {number(start)} px at the start, {number(record.metrics['peak_error'])} px at "
         f"t = {number(record.end_time)} s.",
     )
-
-
-def _coarse_step(case: Case, record: Record, judgement: Judgement) -> Signature:
-    return Signature(None, "")
 
 
 def _saturation(case: Case, record: Record, judgement: Judgement) -> Signature:
@@ -189,7 +183,6 @@ def _leg_limits(case: Case, record: Record, judgement: Judgement) -> Signature:
 
 SIGNATURES: dict[str, Callable[[Case, Record, Judgement], Signature]] = {
     "wrong_sign": _wrong_sign,
-    "coarse_step": _coarse_step,
     "saturation": _saturation,
     "lost_features": _lost_features,
     "gravity": _gravity,

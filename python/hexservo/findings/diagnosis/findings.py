@@ -7,11 +7,9 @@ from typing import Any
 
 from hexservo.findings.diagnosis.criterion import DRIFT_TIME, Judgement, Record
 from hexservo.findings.diagnosis.goal import Obstacle
-from hexservo.findings.evidence import Section, as_data
+from hexservo.findings.evidence import Section, as_data, picked
 from hexservo.findings.part import Part
 from hexservo.run.result import Result
-
-__all__ = ["Diagnosis", "Finding", "Remedy"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,13 +123,7 @@ class Diagnosis(Part):
 
 def _finding_data(finding: Finding) -> dict[str, Any]:
     return {
-        "cause": finding.cause,
-        "title": finding.title,
-        "named": finding.named,
-        "score": finding.score,
-        "cure": finding.cure,
-        "alone": finding.alone,
-        "look": finding.look,
+        **picked(finding, "cause title named score cure alone look"),
         "evidence": list(finding.evidence),
         "without": None if finding.without is None else vars(finding.without),
         "remedy": None if finding.remedy is None else vars(finding.remedy),

@@ -12,8 +12,6 @@ from hexservo.findings.evidence import Column, Curves, Line, Section, Table
 from hexservo.scenario.leg_units import leg_units
 from hexservo.scenario.wording import number
 
-__all__ = ["section"]
-
 _PAGE = "docs/diagnosis/ranking.md"
 _TITLES = {cause.key: cause.title for cause in CAUSES}
 _FLOOR = 1e-3  # [px], of the curves

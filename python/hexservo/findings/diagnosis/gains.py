@@ -11,8 +11,6 @@ from hexservo import _core
 from hexservo.scenario.keys import default_of, keys_below, value_at
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["GAIN_KEYS", "damped", "default_gains", "idle_gains", "not_below_default", "slower"]
-
 # How a gain scales with the rate of the loop: forces with its square, dampings and rates with itself.
 _POWERS = {
     "kp": 2.0,

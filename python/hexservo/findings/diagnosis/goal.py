@@ -15,8 +15,6 @@ from hexservo.scenario.arrays import Array
 from hexservo.scenario.pixels import desired_features, to_pixels
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["Goal", "Obstacle", "goal_of", "obstacle_of", "pixels_per_metre", "resized_image", "spread_target"]
-
 _SPREAD = 0.2  # half the side of the square that stands in for a target, in parts of its distance
 _EXACT = 0.5  # [px]: features of a pose are no farther off, with ordinary noise
 _SHOWN = 1.0  # [px]: it may be that no pose shows the goal exactly

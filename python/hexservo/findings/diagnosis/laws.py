@@ -27,8 +27,6 @@ from hexservo.scenario.laws import Fuzzy, laws_with
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.pixels import to_pixels
 
-__all__ = ["LAWS", "TASKS"]
-
 _WITH_FRICTION = laws_with("switching")
 _RICHER = 2.0  # a target counts as badly spread where a square would show the worst direction so many times better
 _FACTORS = (4.0, 16.0, 64.0)  # by which a loop is made slower or faster
@@ -254,77 +252,79 @@ LAWS: tuple[Cause, ...] = (
     Cause(
         "coarse_step",
         "a step that is too coarse",
-        "law",
         frozenset({"simulation.step", "simulation.substeps"}),
         _coarse_step,
         alone=_coarse_step_alone,
+        kind="law",
     ),
     Cause(
         "spring",
         "adaptation that acts as a spring",
-        "law",
         frozenset({"LAW.fuzzy.adaptation"}),
         _spring,
         alone=_spring_alone,
+        kind="law",
     ),
-    Cause("stiction", "stiction: K_v is too large", "law", frozenset({"LAW.kv"}), _stiction, alone=_stiction_alone),
+    Cause(
+        "stiction", "stiction: K_v is too large", frozenset({"LAW.kv"}), _stiction, alone=_stiction_alone, kind="law"
+    ),
     Cause(
         "switching",
         "a switching term that does not suit the loop",
-        "law",
         frozenset({"controller.switching.kind", "controller.switching.width"}),
         _switching,
+        kind="law",
     ),
     Cause(
         "weights",
         "settings of the fuzzy systems",
-        "law",
         frozenset(f"LAW.fuzzy.{name}" for name in _WEIGHTS),
         _weights,
         context=frozenset({"uncertainty.gravity"}),
+        kind="law",
     ),
-    Cause("prior", "prior or Jacobian of the law", "law", frozenset(f"LAW.{name}" for name in _OPTIONS), _options),
-    Cause("gains_high", "gains that are too high, or too little damped", "law", GAIN_KEYS | _FITTED, _gains_high),
-    Cause("gains_low", "gains that are too low", "law", GAIN_KEYS, _gains_low),
+    Cause("prior", "prior or Jacobian of the law", frozenset(f"LAW.{name}" for name in _OPTIONS), _options, kind="law"),
+    Cause("gains_high", "gains that are too high, or too little damped", GAIN_KEYS | _FITTED, _gains_high, kind="law"),
+    Cause("gains_low", "gains that are too low", GAIN_KEYS, _gains_low, kind="law"),
 )
 
 TASKS: tuple[Cause, ...] = (
     Cause(
         "impossible_goal",
         "a goal image that belongs to no pose",
-        "task",
         frozenset({"target.desired_features"}),
         _impossible_goal,
+        kind="task",
     ),
-    Cause("band", "a settling band that is too narrow", "task", frozenset({"metrics.band"}), _band),
+    Cause("band", "a settling band that is too narrow", frozenset({"metrics.band"}), _band, kind="task"),
     Cause(
         "duration",
         "a run that is too short for its dwell time",
-        "task",
         frozenset({"simulation.duration", "metrics.dwell"}),
         _duration,
+        kind="task",
     ),
     Cause(
         "poor_image",
         "a poorly observable target",
-        "task",
         OPTICS | {"target.initial_features", "target.points", "target.depth"},
         _poor_image,
         alone=_poor_image_alone,
+        kind="task",
     ),
     Cause(
         "false_equilibrium",
         "a false equilibrium of the law",
-        "task",
         frozenset({"controller.law"}),
         _false_equilibrium,
+        kind="task",
     ),
     Cause(
         "leg_limits",
         "limits of the legs",
-        "task",
         frozenset({"robot.stroke", "robot.speed_limit", "robot.joint_limit", "robot.on_limit"}),
         _leg_limits,
         leg_limits_remedies,
+        kind="task",
     ),
 )

@@ -6,11 +6,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
+import numpy as np
+
 from hexservo.findings.diagnosis.criterion import Record
 from hexservo.findings.diagnosis.goal import Goal, Obstacle
+from hexservo.scenario.keys import value_at
 from hexservo.scenario.scenario import Scenario
-
-__all__ = ["Alone", "Case", "Cause", "Removal", "same"]
 
 Changes: TypeAlias = Mapping[str, Any]  # by dotted key, as Scenario.updated takes them
 Kind: TypeAlias = Literal["device", "law", "task"]
@@ -48,6 +49,33 @@ class Alone:
     stroke_counts: bool = True  # of the first one
 
 
+def always(case: Case) -> bool:
+    """Whether a case has what every scenario has."""
+    return True
+
+
+def _samples(case: Case) -> bool:
+    return case.sampled
+
+
+def removed_by(
+    key: str, none: object, words: str, *, of: Callable[[Case], bool] = _samples
+) -> Callable[[Case], list[Removal]]:
+    """Return what removes a device's fault: its key set to the value that stands for no fault.
+
+    Parameters
+    ----------
+    of
+        Whether a case has that device.
+    """
+
+    def removals(case: Case) -> list[Removal]:
+        present = of(case) and not np.all(np.asarray(value_at(case.scenario, key)) == none)  # of arrays, every entry
+        return [Removal(words, {key: none})] if present else []
+
+    return removals
+
+
 def same(case: Case, removal: Removal, record: Record) -> list[Removal]:
     """Return the removal itself as the remedy."""
     return [removal]
@@ -63,7 +91,6 @@ class Cause:
 
     key: str
     title: str
-    kind: Kind
     keys: frozenset[str]  # keys of a scenario that belong to this cause; "LAW" stands for the law's own block
     removals: Callable[[Case], list[Removal]]  # empty: not present in the scenario
     remedies: Callable[[Case, Removal, Record], list[Removal]] = (
@@ -71,3 +98,4 @@ class Cause:
     )
     context: frozenset[str] = field(default_factory=frozenset)  # keys on which the effect of these keys depends
     alone: Callable[[Case], list[Alone]] | None = None  # replaces the pairs that follow from kind, keys and context
+    kind: Kind = "device"

@@ -28,8 +28,6 @@ from hexservo.findings.diagnosis.model import Case, Cause, Removal
 from hexservo.findings.diagnosis.runs import Run, run_all
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["Study", "Trial", "controls", "judged", "make_cases", "pairs", "rank", "study"]
-
 _NOT_ALONE = 0.25  # factor of the score for a cause that makes no run fail alone
 _USUAL = 0.15  # the same if no setting of the cause is unusual
 _ORDINARY = 0.1  # the same for a device that is no worse than ordinary

@@ -15,16 +15,6 @@ from hexservo.findings.diagnosis.model import Case, Removal
 from hexservo.scenario.laws import laws_with
 from hexservo.scenario.leg_units import leg_units
 
-__all__ = [
-    "gravity_remedies",
-    "late_camera_remedies",
-    "leg_limits_remedies",
-    "lost_features_remedies",
-    "saturation_remedies",
-    "slower_remedies",
-    "unequal_depth_remedies",
-]
-
 
 def slower_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
     """Slow down the loop or its adaptation, instead of a better device."""

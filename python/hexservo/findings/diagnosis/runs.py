@@ -11,14 +11,12 @@ import numpy as np
 from hexservo.findings.diagnosis.criterion import Record, make_record
 from hexservo.run.batch import BatchResult, simulate_batch, whole
 from hexservo.run.result import Result
-from hexservo.run.shared import numbers_of, shared_by
+from hexservo.run.shared import numbers_of, shared_by, widest
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.fitted import acts_on_gains, auto_of
-from hexservo.scenario.keys import NumericKey, acting_keys
+from hexservo.scenario.keys import acting_keys
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.yaml import ScenarioError
-
-__all__ = ["Run", "record_of", "run_all"]
 
 _SAMPLES = 500  # about so many of a run are kept
 _MAX_BATCH = 64  # runs: bounds the memory of their samples
@@ -73,7 +71,7 @@ def run_all(runs: Sequence[Run], threads: int = 1) -> list[Record | None]:
         kinds = tuple(name.removesuffix("kind") for name in run.changes if name.endswith(".kind"))
         for name, value in run.changes.items():
             if name in numbers and value is not None and not isinstance(value, str) and not name.startswith(kinds):
-                numbers[name] = _wide(keys[name], value)
+                numbers[name] = widest(keys[name], value)
             else:
                 others[name] = value
                 numbers.pop(name, None)
@@ -99,14 +97,6 @@ def _fitted_again(run: Run, numbers: Mapping[str, Array]) -> dict[str, Array]:
         return {}  # refused when it is run
     head = f"controller.{run.scenario.controller.law}."
     return {name: values for name, values in numbers_of(changed).items() if name.startswith(head) and name in numbers}
-
-
-def _wide(rule: NumericKey, value: Any) -> Array:
-    """Return a value in the widest shape of its key."""
-    array, shape = np.asarray(value, dtype=rule.dtype), max(rule.shapes, key=len)
-    if array.shape == shape:
-        return array
-    return np.diag(array) if array.ndim else np.full(shape, array)
 
 
 def _thinned(run: Run) -> Scenario:

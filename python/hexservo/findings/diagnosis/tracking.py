@@ -12,8 +12,6 @@ from hexservo.findings.leg_feedback import feedback_margin, integral_margin
 from hexservo.scenario.keys import keys_below, value_at
 from hexservo.scenario.laws import Tracking
 
-__all__ = ["NEVER_ACTING", "TRACKING", "legs_within_margins", "well_set"]
-
 _LAW = "tracking"
 _BLOCK = f"controller.{_LAW}"
 _FILTER = ("noise", "acceleration", "speed", "jump", "certainty")
@@ -23,13 +21,6 @@ _CONTEXT = ("actuators.position", "target.motion", "camera.period", "camera.late
 
 _DRIVES = ("actuators",)  # whose legs the feedback and the offset correct, as late as they are
 _OF_MARGIN = 0.5  # share of its gain margin that a feedback may have
-
-NEVER_ACTING = {
-    f"{_BLOCK}.band": (
-        "acts on legs that come to rest elsewhere than commanded, as motors with friction do: `motors`, `stick_slip`"
-    ),
-}
-"""Keys of the law without a cause, each with the reason."""
 
 
 def _of_the_law(changes: Callable[[Case], Mapping[str, Any]], words: str) -> Callable[[Case], list[Removal]]:
@@ -103,7 +94,7 @@ def _cause(
     context: tuple[str, ...] = (),
 ) -> Cause:
     keys = frozenset(f"LAW.{name}" for name in names)
-    return Cause(key, title, "law", keys, _of_the_law(changes, words), alone=_alone(changes, context))
+    return Cause(key, title, keys, _of_the_law(changes, words), alone=_alone(changes, context), kind="law")
 
 
 TRACKING: tuple[Cause, ...] = (

@@ -12,8 +12,6 @@ from hexservo.run.result import Result
 from hexservo.scenario.leg_units import leg_units
 from hexservo.scenario.wording import number
 
-__all__ = ["criteria_met", "ends", "how", "joined", "misses", "remedy_sentence", "spelt", "warnings_of"]
-
 FEW = 40  # samples, or steps
 _NEAR = 0.7  # share of a limit beyond which there is a warning
 _SHOWN_DRIFT = 1e-4  # [m/s]: a slower drift is not reported

@@ -17,8 +17,6 @@ from hexservo.findings.part import Part
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["Changes", "changes_of", "in_whole_ticks", "of_law"]
-
 _FEWEST_TICKS = {  # of the times that a scenario has in whole ticks
     "simulation.duration": 1,
     "camera.period": 1,

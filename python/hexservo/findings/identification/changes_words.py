@@ -7,8 +7,6 @@ from typing import Any
 from hexservo.findings.evidence import Column, Section, Table, Verdict
 from hexservo.findings.identification.changes import Changes
 
-__all__ = ["section"]
-
 PAGE = "docs/identification.md"
 
 

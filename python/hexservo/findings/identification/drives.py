@@ -23,8 +23,6 @@ from hexservo.run.progress import ProgressCallback
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.leg_units import LegUnits
 
-__all__ = ["MOST_DELAY", "DriveFit", "Drives", "fit_drives"]
-
 MOST_DELAY = _core.MAX_ACTUATOR_DELAY  # [ticks]
 """Most ticks of delay, as `actuators.delay` has it."""
 

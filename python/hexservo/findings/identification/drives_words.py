@@ -12,8 +12,6 @@ from hexservo.findings.identification.drives import MOST_DELAY, DriveFit, Drives
 from hexservo.findings.identification.interval import Interval
 from hexservo.scenario.wording import below, number
 
-__all__ = ["section", "with_interval"]
-
 PAGE = "docs/identification.md"
 _GOOD = 0.95  # share of the part kept apart that a model should predict
 _ALIKE = 1.1  # ratio of two legs' bandwidths that is not worth a word

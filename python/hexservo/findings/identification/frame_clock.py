@@ -12,8 +12,6 @@ from scipy.stats import binomtest
 from hexservo.findings.identification.interval import LEVEL, Interval
 from hexservo.scenario.arrays import Array
 
-__all__ = ["clock"]
-
 _MOST_LOST = 0.9  # share of the frames
 _BAND = 1.2  # ratio of the ends of the bands of frequencies that are searched one after the other
 _MARGIN = 0.95  # of the frequency of frames of which none is lost: jitter of the first and of the last

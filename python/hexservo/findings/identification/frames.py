@@ -23,8 +23,6 @@ from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.pixels import to_features
 
-__all__ = ["MOST_LATENCY", "CameraFit", "fit_camera"]
-
 MOST_LATENCY = 0.25
 """Largest latency that is looked for [s]."""
 

@@ -10,8 +10,6 @@ from hexservo.findings.identification.frames import MOST_LATENCY, CameraFit
 from hexservo.findings.identification.interval import Interval
 from hexservo.scenario.wording import number
 
-__all__ = ["section"]
-
 PAGE = "docs/identification.md"
 _TITLE = "Camera"
 _GOOD = 0.95  # share of the image motion kept apart that a model should predict

@@ -9,8 +9,6 @@ from scipy.stats import norm
 
 from hexservo.scenario.arrays import Array
 
-__all__ = ["LEVEL", "Interval", "correlated", "deviations", "half_width", "robust_deviations"]
-
 LEVEL = 0.95
 """Confidence of all intervals."""
 

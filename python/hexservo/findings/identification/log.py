@@ -19,8 +19,6 @@ from hexservo.scenario.reading import path_text
 from hexservo.scenario.wording import wrong_type
 from hexservo.scenario.yaml import ScenarioError
 
-__all__ = ["FITTED", "LEAST_EXPLAINED", "MAX_BYTES", "MAX_ROWS", "Log", "leg_moves", "read_log"]
-
 MAX_ROWS = 1_000_000
 MAX_BYTES = 500_000_000
 FITTED = 0.7

@@ -26,8 +26,6 @@ from hexservo.scenario.leg_units import LegUnits, leg_units
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario
 
-__all__ = ["MotorFit", "fit_motors"]
-
 _KEYS = ("kp", "damping", "armature", "friction")  # of `actuators.motor`, the last one may be zero
 _LEG_STEP = 1.25e-3  # [s], most of a step of the legs
 _STIFFNESSES = np.geomspace(1e-3, 1e1, 13)  # tried first, times the limit over how far the legs were sent

@@ -12,8 +12,6 @@ from hexservo.findings.identification.drives_words import with_interval
 from hexservo.findings.identification.motors import MotorFit
 from hexservo.scenario.wording import number
 
-__all__ = ["section"]
-
 PAGE = "docs/identification.md"
 
 _KEPT = ("kp", "damping", "armature", "friction", "delay", "limit", "noise", "error", "error_of_drives", "explained")

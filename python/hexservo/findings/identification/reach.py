@@ -15,8 +15,6 @@ from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number
 from hexservo.scenario.yaml import ScenarioError
 
-__all__ = ["require_reach"]
-
 _FARTHEST = 3.0  # strokes from the middle of the travel at any tick
 # The same at half of the ticks. Cranks, whose travel is a good part of a rotation, exceed it by little.
 _USUALLY = {"m": 2.0, "rad": 1.0}

@@ -16,8 +16,6 @@ from scipy.stats import t
 from hexservo.findings.identification.interval import LEVEL, Interval
 from hexservo.scenario.arrays import Array
 
-__all__ = ["Rests", "find_rests", "with_friction"]
-
 _TICKS = 12  # fewest between two commands
 _STILL = 2e-3  # of the way: most that a leg may move in the last quarter of that time
 _MOVED = 0.05  # of a jump: least motion into a rest
