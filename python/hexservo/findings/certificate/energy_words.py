@@ -104,6 +104,8 @@ def section(found: EnergyLedger) -> Section:
             "tolerance": found.tolerance,
             "turnover": found.turnover,
             "mismatch": found.mismatch,
+            "pose_mismatch": found.pose_mismatch,
+            "image_mismatch": found.image_mismatch,
             "sign_changes": found.crossings,
             "signs_by_rounding": found.tossed,
             "closes": found.closes,

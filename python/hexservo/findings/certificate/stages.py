@@ -40,7 +40,8 @@ class Stages:
     acceleration: Array  # (m, 4, 6) [m/s^2; rad/s^2]
     start_quaternion: Array  # (m, 4)
     start_twist: Array  # (m, 6)
-    next_quaternion: Array  # (m, 4) after each step: the next sample, at the end of a period
+    next_position: Array  # (m, 3) after each step: the next sample, at the end of a period
+    next_quaternion: Array  # (m, 4), likewise
     next_twist: Array  # (m, 6)
     to_sample: bool  # whether the steps end at samples
 
@@ -99,6 +100,7 @@ def _continuous(run: Replay, ticks: NDArray[np.intp], probe: _core.Probe, step: 
         acceleration=taken.acceleration,
         start_quaternion=run.quaternion[ticks],
         start_twist=run.twist[ticks],
+        next_position=taken.next_position,
         next_quaternion=taken.next_quaternion,
         next_twist=taken.next_twist,
         to_sample=step == run.step,
@@ -158,6 +160,7 @@ def _sampled(run: Replay, ticks: NDArray[np.intp]) -> Iterator[Stages]:
             acceleration=joined["acceleration"],
             start_quaternion=body[1],
             start_twist=body[2],
+            next_position=after[0],
             next_quaternion=after[1],
             next_twist=after[2],
             to_sample=substep == substeps - 1,
