@@ -53,7 +53,7 @@ def feedback_margin(scenario: Scenario) -> float:
     Examples
     --------
     >>> round(hs.feedback_margin(hs.load_scenario("reachy-mini")), 1)
-    1.8
+    2.0
     """
     leg = _leg(scenario)
     return _least_gain(leg.feedback, leg.slowest)
