@@ -731,6 +731,11 @@ def test_the_part_of_composite_30hz() -> None:
     # From 0.01 px this loop is not linear any more: both runs start where it is, and grow as predicted.
     assert [run.offset for run in found.runs] == [1e-6, 1e-6]
     assert all(run.measured == pytest.approx(run.predicted, rel=0.01) for run in found.runs)
+    check = next(sentence for sentence in section.sentences if sentence.startswith("A numerical check by two runs"))
+    assert check.endswith("The stability limit lies between these two runs, 5 % on either side of the predicted one.")
+    slower = tuple(replace(run, measured=0.7 * run.predicted) for run in found.runs)
+    doubtful = next(s for s in replace(found, runs=slower).section().sentences if s.startswith("A numerical check"))
+    assert "Their growth is not within 20 % of the predicted" in doubtful
     for item in section.items:
         assert item.page == "docs/analysis/camera_rate.md"
     margins_table = section.items[0]

@@ -40,9 +40,7 @@ def settles(scenario: hs.Scenario, duration: float) -> bool:
 
 
 def goal_at(scenario: hs.Scenario, way: Direction, size: float) -> hs.Scenario:
-    rest = Scene(scenario)
-    features, _ = rest.image(rest.home.moved((size * way.unit)[None]))
-    return scenario.updated({"target.desired_features": features[0].tolist()})
+    return scenario.updated({"target.desired_features": hs.project(scenario, size * way.unit).tolist()})
 
 
 # ---- The border of what was tried -----------------------------------------------------------------------------------
@@ -124,6 +122,35 @@ def test_single_runs_agree(found: LargestStart, paper: hs.Scenario) -> None:
             assert settles(smaller, paper.simulation.duration) == way.settles_later
     assert failing > 0
     assert found.longer == paper.simulation.duration
+
+
+def test_single_runs_agree_for_a_camera_of_its_own_pixels() -> None:
+    """Image off the optical axis, two focal lengths, and a principal point that the controller has wrong."""
+    feature = hs.load_scenario("composite-30hz")
+    centre = np.tile([70.0, 239.5], 4)
+    scenario = feature.updated(
+        {
+            "camera.focal_length": None,
+            "camera.pixel_scale": None,
+            "camera.focal_pixels": [581.8, 500.0],
+            "camera.principal_point": [70.0, 239.5],
+            "camera.image_size": [640, 480],
+            "target.initial_features": (np.array(feature.target.initial_features) + centre).tolist(),
+            "target.desired_features": (np.array(feature.target.desired_features) + centre).tolist(),
+            "uncertainty.principal_point": [5.0, -5.0],
+            "simulation.duration": 1.5,
+        }
+    )
+    analysis = hs.analyse(scenario, ["largest_start"])
+    directions = analysis.largest_start.directions
+    assert len(directions) == 13
+    assert sum(way.fails_at is not None for way in directions) > 5
+    for way in directions:
+        assert settles(goal_at(scenario, way, way.settles_to), 1.5), way.name
+        if way.fails_at is not None:
+            assert not settles(goal_at(scenario, way, way.fails_at), 1.5), way.name
+    (section,) = analysis.sections()
+    assert not any("principal point" in sentence for sentence in section.sentences)  # nothing of it is left out
 
 
 def test_the_papers_law_needs_a_fast_camera_or_prediction(found: LargestStart, paper: hs.Scenario) -> None:

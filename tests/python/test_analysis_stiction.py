@@ -270,6 +270,28 @@ def test_a_platform_in_the_set_stays_exactly_and_one_outside_leaves(paper: hs.Sc
     check_runs(on, near=0.5)
 
 
+def test_the_border_of_an_image_off_the_optical_axis_loses_no_point_of_the_runs(paper: hs.Scenario) -> None:
+    """All points are in the image, and one is farther from the principal point than half the image."""
+    principal_point = np.array([50.0, 80.0])
+    goals = {
+        f"target.{key}": (np.array(getattr(paper.target, key)) + np.tile(principal_point, 4)).tolist()
+        for key in ("initial_features", "desired_features")
+    }
+    free = paper.updated(
+        {
+            **NO_FUZZY,
+            **goals,
+            "camera.principal_point": principal_point.tolist(),
+            "simulation.mode": "sampled",
+            "simulation.duration": 0.05,
+            "controller.switching.kind": "implicit",
+        }
+    )
+    (without,) = hs.analyse(free, ["stiction"]).stiction.runs
+    (within,) = hs.analyse(free.updated({"camera.image_size": [120, 140]}), ["stiction"]).stiction.runs
+    np.testing.assert_array_equal(within.final_error, without.final_error)
+
+
 def test_what_fuzzy_systems_take_up_is_bounded_by_their_limit(paper: hs.Scenario) -> None:
     limited = stiction.analyse(paper.updated({"controller.hybrid.fuzzy.weight_limit": 1e-5}))
     assert limited.straight_way is not None

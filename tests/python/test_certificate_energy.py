@@ -397,6 +397,30 @@ def test_a_log_that_is_not_what_acted_is_flagged(paper: hs.Scenario) -> None:
     assert "a residual of" in section.sentences[0]
 
 
+@pytest.mark.parametrize(
+    ("name", "jump", "words"),
+    [
+        ("position", 1e-6, "miss the next pose by"),
+        ("quaternion", 1e-6, "miss the next pose by"),
+        ("feature_error", 1e-3, "the images at the poses of the log differ"),
+        ("depth", 1e-6, "the images at the poses of the log differ"),
+    ],
+)
+def test_a_log_whose_poses_or_images_are_of_another_run_is_flagged(name: str, jump: float, words: str) -> None:
+    """A custom controller's run cannot be repeated: only the log itself shows a jump in it."""
+    scenario = hs.load_scenario("composite-30hz").updated({"simulation.duration": 0.2})
+    result = hs.simulate(scenario, controller=lambda _: np.array([0.0, 0.0, 1e-3, 0.0, 0.0, 0.0]))
+    untouched = hs.certify(result).energy
+    assert untouched is not None
+    assert untouched.faults == ()
+    jumping = getattr(result, name).copy()
+    jumping[100:] += jump
+    ledger = hs.certify(replace(result, **{name: jumping})).energy
+    assert ledger is not None
+    assert any(words in fault for fault in ledger.faults)
+    assert ledger.section().verdict == "bad"
+
+
 def test_a_platform_that_rests_at_its_goal_closes(paper: hs.Scenario) -> None:
     """Its switching term chatters about nothing: hardly any energy is turned over, and the tolerance is as small."""
     start = list(paper.target.initial_features or ())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 from time import process_time
@@ -374,6 +375,73 @@ def test_a_result_that_differs_from_its_repeated_run_is_reported(paper: hs.Scena
     assert certificate.differences == {"twist": pytest.approx(1e-9, rel=1e-3)}
     assert "differs from the result in twist by up to 1e-09 m/s or rad/s" in certificate.remark
     assert any(certificate.remark in section.sentences for section in certificate.sections())
+
+
+def _rows(result: hs.Result, kept: Any) -> dict[str, Any]:
+    """Return the arrays of a result with only these of its rows, in this order."""
+    names = (name for name, value in vars(result).items() if np.shape(value)[:1] == result.time.shape)
+    return {name: getattr(result, name)[kept] for name in names}
+
+
+@pytest.mark.parametrize(
+    ("tampered", "name"),
+    [
+        (lambda r: {"leg_forces": 2 * r.leg_forces}, "leg_forces"),
+        (lambda r: {"leg_lengths": r.leg_lengths + 1}, "leg_lengths"),
+        (lambda r: {"fuzzy_weights": 0 * r.fuzzy_weights}, "fuzzy_weights"),
+        (lambda r: {"weight_history": 0 * r.weight_history}, "weight_history"),
+        (lambda r: {"streamed_metrics": dict.fromkeys(r.streamed_metrics, 1.0)}, "streamed_metrics"),
+        (lambda r: {"events": ()}, "events"),
+        (lambda r: {"outcome": "diverged"}, "outcome"),
+        (lambda r: {"end_time": 0.01}, "end_time"),
+        (lambda r: {"time": r.time + 0.4 * r.scenario.simulation.step}, "time"),
+        (lambda r: _rows(r, np.r_[0:3, 5 : len(r.time)]), "time"),
+        (lambda r: _rows(r, np.r_[0, 2, 1, 3 : len(r.time)]), "time"),
+        (lambda r: {"depth": r.depth[:-1]}, "depth"),
+        (lambda r: {"scenario": r.scenario.updated({"uncertainty.inertia": 0.0})}, "twist"),
+    ],
+)
+def test_a_result_that_is_not_a_run_of_its_scenario_is_not_called_good(
+    paper: hs.Scenario, tampered: Callable[[hs.Result], dict[str, Any]], name: str
+) -> None:
+    """Of the law composite, which has the energy ledger alone and so takes little time."""
+    short = {"controller.law": "composite", "simulation.duration": 0.02, "simulation.log_every": 3}
+    result = hs.simulate(paper.updated({**short, "robot.stroke": 1e-6}), log_weights=True)
+    assert result.events
+    certificate = hs.certify(replace(result, **tampered(result)))
+    assert name in certificate.differences
+    assert "the result is not a run of its scenario" in certificate.remark
+    for section in certificate.sections():
+        assert section.verdict != "good"
+
+
+def test_a_difference_is_put_down_to_the_version_or_to_rounding_where_it_may_be(paper: hs.Scenario) -> None:
+    result = hs.simulate(paper.updated({"controller.law": "composite", "simulation.duration": 0.02}))
+    assert hs.certify(result).differences == {}
+    older = hs.certify(replace(result, version="0.0.1", twist=2 * result.twist))
+    assert "version 0.0.1 made the result" in older.remark
+    assert older.sections()[2].verdict == "warning"
+    rounded = hs.certify(replace(result, twist=result.twist * (1 + 1e-14)))
+    assert "another compiled variant made the result" in rounded.remark
+    assert rounded.sections()[2].verdict == "good"
+
+
+def test_an_interrupted_run_is_compared_up_to_its_end(paper: hs.Scenario) -> None:
+    short = {"controller.law": "composite", "simulation.duration": 0.05, "simulation.log_every": 3}
+    result = hs.simulate(paper.updated(short))
+    cut = replace(result, outcome="interrupted", end_time=float(result.time[10]), **_rows(result, slice(11)))
+    assert hs.certify(cut).differences == {}
+
+
+def test_a_result_without_samples_and_gaps_of_a_custom_controller_are_refused(paper: hs.Scenario) -> None:
+    result = hs.simulate(paper.updated(SHORT))
+    with pytest.raises(ValueError, match="result: expected at least one sample, got none"):
+        hs.certify(replace(result, **_rows(result, slice(0))))
+    sampled = hs.load_scenario("composite-30hz").updated({"simulation.duration": 0.05})
+    own = hs.simulate(sampled, controller=lambda _: np.zeros(6))
+    for other in (_rows(own, np.r_[0:20, 30 : len(own.time)]), {"end_time": 0.02}, {"time": own.time + 4e-4}):
+        with pytest.raises(ValueError, match=r"result: expected a sample at every step of 0\.001 s"):
+            hs.certify(replace(own, **other))
 
 
 @pytest.mark.parametrize(

@@ -136,6 +136,24 @@ def test_gravity_in_a_recording(reading: float, frame: str, mean: str | None) ->
         assert "specific_force has (0, 0, -9.8) m/s^2" in line
 
 
+def test_specific_forces_that_were_read_with_another_gravity() -> None:
+    """The difference of the two stays in them where the gravity is changed afterwards, and not where both are given."""
+    scenario = hs.load_scenario("slow-camera")
+    rest = {
+        "kind": "recorded",
+        "samples": [[0.0, 0.0, -9.8]] * 50,
+        "sample_period": 0.1,
+        "frame_of_acceleration": "specific_force",
+    }
+    afterwards = scenario.updated({"robot.gravity": [1.0, 2.0, 9.0], "base_motion": rest}).updated(
+        {"robot.gravity": [0.0, 0.0, 9.8]}
+    )
+    (line,) = (line for line in unlikely(afterwards) if "base_motion" in line)
+    assert "their mean acceleration is (1, 2, -0.8) m/s^2" in line
+    assert "forces that were read before robot.gravity was changed hold the difference" in line
+    assert not np.any(scenario.updated({"base_motion": rest}).base_motion.samples)
+
+
 def test_home_below_the_base_and_a_stroke_beyond_a_leg(paper: hs.Scenario) -> None:
     below = paper.updated({"robot.home_position": [0.0, 0.0, 0.15]})
     assert "puts home below the base" in only(below, "robot.home_position")

@@ -17,7 +17,7 @@ from fitted_machines import BAND, MODES, SEED, STARTS, Array, draw, image, rotat
 from hexservo.cli.commands import app
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check import keys_without_effect, unlikely
-from hexservo.findings.check_gains import image_delay, start_forces
+from hexservo.findings.check_gains import image_delay, smoothing_lag, start_forces
 from hexservo.run.export import gains_header
 from hexservo.scenario.fitted import chosen_keys, fitted_keys, gains_written, machine_of
 from hexservo.scenario.keys import default_of, value_at
@@ -381,6 +381,39 @@ def test_a_late_image_takes_damping_away(paper: hs.Scenario) -> None:
     assert ends[3.0] > 20.0
     predicted = late.updated({"camera.prediction": "encoder"})
     assert image_delay(predicted) == pytest.approx(0.0005)
+
+
+@pytest.mark.parametrize(("period", "constant"), [(0.001, 0.033), (0.033, 0.033), (0.04, 0.02)])
+def test_smoothed_features_are_late_by_the_lag_of_their_filter(
+    paper: hs.Scenario, period: float, constant: float
+) -> None:
+    """A target of constant velocity before a platform at rest: smoothed features beside those that are not."""
+    moving = paper.updated(
+        {
+            "simulation": {"mode": "sampled", "duration": 40 * period + 6 * constant},
+            "camera.period": period,
+            "target.motion": {"kind": "velocity", "velocity": [0.02, 0.0, 0.0]},
+            "uncertainty": {"inertia": 0.0, "coriolis": 0.0, "depth": 0.0},
+        }
+    )
+    weight = np.array([0.0, 0.0, -0.06 * 9.8, 0.0, 0.0, 0.0])
+
+    def seen(scenario: hs.Scenario) -> float:
+        features: list[float] = []
+
+        def controller(observation: hs.Observation) -> Array:
+            features.append(float(observation.features[0]))
+            return weight
+
+        hs.simulate(scenario, controller=controller)
+        return features[-1]
+
+    smoothed = moving.updated({"camera.smoothing": constant})
+    rate = 0.02 * 0.008 * 72727.0 / 0.5  # [px/s]
+    lag = abs(seen(moving) - seen(smoothed)) / rate
+    assert lag == pytest.approx(smoothing_lag(smoothed), rel=5e-3)
+    assert image_delay(smoothed) - image_delay(moving) == pytest.approx(smoothing_lag(smoothed))
+    assert smoothing_lag(moving) == 0.0
 
 
 def test_what_a_law_cannot_do_is_in_words(paper: hs.Scenario) -> None:

@@ -65,6 +65,33 @@ def test_a_gravity_error_of_the_other_sign_sinks(paper: hs.Scenario) -> None:
     assert result.position[-1, 2] - result.position[0, 2] > paper.robot.stroke
 
 
+@pytest.mark.parametrize(
+    ("name", "default", "released"),
+    [
+        ("noisy-camera", 0.16, 3.2),
+        ("slow-camera", 0.16, 8.0),
+        ("dropouts", 0.28, 7.6),
+        ("real-machine", 0.15, 10.4),
+        ("rough-road", 0.79, 4.1),
+        ("composite-30hz", 0.15, 0.43),
+    ],
+)
+def test_the_prior_of_pbvs_keeps_noise_out(name: str, default: float, released: float) -> None:
+    """The table of section 5: RMS errors [px] with the default prior and without one, median of three seeds."""
+    law = hs.load_scenario(name).updated({"controller.law": "pbvs"})
+    for prior, expected in (({}, default), ({"controller.pbvs.prior": 0.0}, released)):
+        errors = [run(law.updated({**prior, "seed": seed}))[1]["rms_error"] for seed in range(3)]
+        assert np.median(errors) == pytest.approx(expected, rel=0.04)
+
+
+def test_without_the_prior_of_pbvs_unequal_depths_make_the_platform_leave() -> None:
+    law = hs.load_scenario("unequal-depth-60s").updated({"controller.law": "pbvs"})
+    assert run(law)[1]["rms_error"] == pytest.approx(0.18, abs=0.005)
+    released = hs.simulate(law.updated({"controller.pbvs.prior": 0.0}))
+    assert released.outcome == "diverged"
+    assert released.end_time == pytest.approx(13.75, abs=0.05)
+
+
 def test_reversed_model_errors_settle_as_well() -> None:
     _, metrics = run(hs.load_scenario("paper-minus"))
     assert metrics["settling_time"] < 2 * 0.353

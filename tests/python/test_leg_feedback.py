@@ -92,6 +92,34 @@ def test_an_integral_of_more_than_half_its_margin_is_noted() -> None:
         hs.integral_margin(hs.load_scenario("paper"))
 
 
+@pytest.mark.parametrize(
+    "legs", [{"delay": 0.04}, {"position.bandwidth": 5.0, "position.damping": 1.2}], ids=["late", "slow"]
+)
+def test_the_whole_law_oscillates_below_the_margin_of_one_leg(legs: dict[str, float]) -> None:
+    """Exact drives and readings, and a target at rest: 0.7 of the margin settles, and 0.8 of it does not."""
+    motors = hs.load_scenario("reachy-mini-motors")
+    scenario = motors.updated(
+        {
+            "actuators.kind": "position",
+            "actuators.motor": {"kp": 1000.0, "kv": 10.0, "damping": 0.0, "friction": 0.0, "armature": 0.0},
+            **{f"actuators.{key}": value for key, value in legs.items()},
+            "camera.noise": 0.0,
+            "camera.latency_jitter": 0.0,
+            "sensors.resolution": 0.0,
+            "target.motion.kind": "none",
+            "controller.tracking.integral": 0.0,
+            "simulation.duration": 12.0,
+        }
+    )
+    margin = hs.feedback_margin(scenario)
+    left = []  # of the twist [m/s; rad/s], in the last quarter
+    for share in (0.7, 0.8):
+        run = hs.simulate(scenario.updated({"controller.tracking.feedback": share * margin}))
+        left.append(float(np.abs(run.twist[3 * len(run.time) // 4 :]).max()))
+    assert left[0] < 1e-5
+    assert left[1] > 0.1
+
+
 def test_a_feedback_of_one_is_too_much_for_fast_legs_with_a_held_command() -> None:
     """Though the gain of such legs is at most 1 at any frequency without the hold: zeta is 0.71."""
     changes = {

@@ -205,7 +205,8 @@ def _of_recording(scenario: Scenario) -> Iterator[str]:
         f"base_motion.samples: their mean acceleration is {_vector(mean)} m/s^2, by which the base gains "
         f"{number(size * duration)} m/s in {quantity(duration, 's')}; check the signs and "
         "base_motion.frame_of_acceleration: at rest and level, specific_force has "
-        f"{_vector(-np.asarray(scenario.robot.gravity))} m/s^2 in the file, and kinematic has zero"
+        f"{_vector(-np.asarray(scenario.robot.gravity))} m/s^2 in the file, and kinematic has zero; forces that were "
+        "read before robot.gravity was changed hold the difference"
     )
 
 

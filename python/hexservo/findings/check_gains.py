@@ -118,7 +118,7 @@ def _too_slow(scenario: Scenario, key: str, bandwidth: float) -> Iterator[str]:
 
 
 def image_delay(scenario: Scenario) -> float:
-    """Return how late the image acts, on average [s]: latency, half a frame's period, half a tick, and the actuators.
+    """Return how late the image acts, on average [s]: latency, half a frame's period, half a tick, filter, actuators.
 
     Frames that the joint sensors carry along count as no delay.
     """
@@ -130,12 +130,25 @@ def image_delay(scenario: Scenario) -> float:
         delay += actuators.position.damping / (math.pi * actuators.position.bandwidth)
     if actuators.bandwidth is not None:
         delay += 1.0 / (2.0 * math.pi * actuators.bandwidth)
-    delay += camera.smoothing
+    delay += smoothing_lag(scenario)
     if camera.prediction == "none":
         delay += (
             camera.latency + 0.5 * camera.latency_jitter + 0.5 * (frame_period(scenario) - scenario.simulation.step)
         )
     return delay
+
+
+def smoothing_lag(scenario: Scenario) -> float:
+    """Return how late features that change evenly are behind their filter, ``camera.smoothing`` [s].
+
+    The filter moves on from exposure to exposure: an exponential one in steps, which is late by less than its time
+    constant tau, P/(exp(P/tau) - 1) with P between exposures.
+    """
+    constant, between = scenario.camera.smoothing, frame_period(scenario)
+    if constant == 0.0:
+        return 0.0
+    left = math.exp(-between / constant)  # of the old value, in a step
+    return between * left / -math.expm1(-between / constant)
 
 
 def _of_delay(scenario: Scenario, key: str, bandwidth: float, damping: float) -> Iterator[str]:

@@ -21,13 +21,15 @@ _SLOW = 0.01
 
 
 def feedback_margin(scenario: Scenario) -> float:
-    """Return the least `controller.tracking.feedback` with which a leg oscillates: the gain margin of that feedback.
+    """Return the gain margin of `controller.tracking.feedback`: the least with which a leg alone oscillates.
 
     The loop is one leg with the response of `actuators.position`, commanded by minus the gain times its reading, with
     the law's lag for legs of one slow pole (docs/model.md, section 5), held for a servo period and late by
     `actuators.delay`, but by one period at least: what reads and commands once per period acts in the next one, and an
-    identification may have taken that for a part of the leg's lag. Half of the
-    margin (6 dB) leaves room for what the response lacks; limits of speed and acceleration are not in it.
+    identification may have taken that for a part of the leg's lag. The
+    reference and the estimate of the target are not in that loop, nor are limits of speed and acceleration: the whole
+    law oscillates from about 0.75 of the margin on. Half of it (6 dB) leaves room for that, and for what the response
+    lacks.
 
     Parameters
     ----------
@@ -51,7 +53,7 @@ def feedback_margin(scenario: Scenario) -> float:
     Examples
     --------
     >>> round(hs.feedback_margin(hs.load_scenario("reachy-mini")), 1)
-    1.8
+    2.0
     """
     leg = _leg(scenario)
     return _least_gain(leg.feedback, leg.slowest)

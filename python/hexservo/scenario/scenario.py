@@ -132,7 +132,9 @@ class Scenario(Blocks):
             keys of the first form to None. What was read into other keys is unchanged: a tag, a grid and a
             desired pose are points and features by now, which another camera, mount or home leaves alone, and specific
             forces are kinematic accelerations: give ``base_motion.frame_of_acceleration`` beside another recording of
-            them. `load_scenario` with changes, and ``--set``, read them afterwards.
+            them. Their weight was taken out with the ``robot.gravity`` that they were read with: another one leaves
+            the difference of the two in them, a constant acceleration of the base that it did not have. `load_scenario`
+            with changes, and ``--set``, read them afterwards.
 
         Raises
         ------

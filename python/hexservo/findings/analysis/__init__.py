@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from hexservo.findings.analysis.loop_of_scenario import with_features
+from hexservo.findings.analysis.loop_of_scenario import with_features, with_gains
 from hexservo.findings.analysis.not_computed import NotComputed, not_computed
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Section, as_data
@@ -26,11 +26,11 @@ _OF_FORCES = ("stiction", "equilibria")  # where a wrench of the law holds the p
 _POSITIONS = (
     "it is about a platform that the law's wrench holds, and the legs of this machine follow positions (actuators.kind)"
 )
-_WITH_MOTION = ("largest_start",)  # whose runs are those of the scenario
-_OF_PIXELS = ("conditioning",)  # whose noise is that of the camera's pixels
+_OF_RUNS = ("largest_start",)  # whose runs are those of the scenario, with its motion and its camera
+_OF_PIXELS = ("conditioning", *_OF_RUNS)  # whose noise and border are those of the camera's pixels
 _OF_KNOWN_CAMERA = ("camera_rate",)  # is open where the controller has the camera wrong
 _RIGHT_CAMERA = (
-    "The controller's focal length and principal point are taken as those of the camera, also in runs; in this "
+    "The controller's focal length and principal point are taken as those of the camera, also in short runs; in this "
     f"scenario they differ ({' and '.join(WRONG_CAMERA)})."
 )
 _AT_REST = "Base and target are taken at rest; in this scenario they move."
@@ -76,8 +76,8 @@ class Analysis(Findings):
         found: Section | NotComputed = _computed(self.scenario, name, part.section)
         section = found.section() if isinstance(found, NotComputed) else found
         moving = moves(self.scenario.base_motion) or self.scenario.target.motion.kind != "none"
-        taken = [_AT_REST] if moving and name not in _WITH_MOTION else []
-        if has_camera_wrong(self.scenario) and name not in _OF_KNOWN_CAMERA:
+        taken = [_AT_REST] if moving and name not in _OF_RUNS else []
+        if has_camera_wrong(self.scenario) and name not in (*_OF_RUNS, *_OF_KNOWN_CAMERA):
             taken.append(_RIGHT_CAMERA)
         return replace(section, sentences=(*section.sentences, *taken)) if taken else section
 
@@ -122,14 +122,15 @@ def analyse(
     if unknown := [part for part in asked if part not in PARTS]:
         raise ValueError(f"parts: expected some of {', '.join(PARTS)}, got {', '.join(map(repr, unknown))}")
     found = {}
-    pinhole = with_features(scenario)  # parts change the goal, to which gains of `auto` would be fitted again
+    written = with_gains(scenario)  # parts change the goal, to which gains of `auto` would be fitted again
+    pinhole = with_features(written)
     for name, (module, _) in PARTS.items():
         if name in asked:
             if progress is not None:
                 progress(name)
             part = import_module(f"hexservo.findings.analysis.{module}").analyse
             own = name in _OF_PIXELS or (name in _OF_KNOWN_CAMERA and has_camera_wrong(scenario))
-            of = scenario if own else pinhole
+            of = written if own else pinhole
             found[name] = _computed(scenario, name, partial(part, of))
     return Analysis(scenario, found)
 

@@ -281,9 +281,11 @@ def _about_runs(result: CameraRate) -> list[str]:
         return [text + " They disagree: the linear loop does not describe these runs."]
     if any(run.offset < START for run in result.runs):
         text += f" From {START:g} px a run behaves differently: this far from its goal the loop is not linear."
-    if inside.key == "gain":
-        return [text + f" The limit agrees with the prediction within {100 * inside.apart:g} %."]
-    return [text + " The limit lies between them, as predicted."]
+    side = f", {100 * inside.apart:g} % on either side of the predicted one" if inside.key == "gain" else ""
+    text += f" The stability limit lies between these two runs{side}."
+    if not (inside.grows_as_predicted and outside.grows_as_predicted):
+        text += " Their growth is not within 20 % of the predicted: it has the predicted sign, and another size."
+    return [text]
 
 
 def _about_limits(result: CameraRate, at_rest: LoopAtRest, clock: Clock, acting: Margins) -> list[str]:

@@ -262,8 +262,7 @@ def _directions(scene: Scene, trial: _Trial) -> tuple[Direction, ...]:
         if not rows:
             return
         moves = np.array([size * ways[i].unit for i, size in rows])
-        features, _ = scene.image(scene.home.moved(moves))
-        ends = trial.ends({"target.desired_features": features})
+        ends = trial.ends({"target.desired_features": scene.pixels(scene.home.moved(moves))})
         for k, (i, size) in enumerate(rows):
             way = ways[i]
             if not ends.ran[k]:
@@ -306,8 +305,8 @@ def _settles_later(scene: Scene, trial: _Trial, ways: list[Direction]) -> list[b
     found: list[bool | None] = [None] * len(ways)
     if rows and trial.duration < trial.longer:
         moves = np.array([(failed[i] or 0.0) * ways[i].unit for i in rows])
-        features, _ = scene.image(scene.home.moved(moves))
-        good = trial.ends({"target.desired_features": features}, trial.longest()).settled
+        goals = scene.pixels(scene.home.moved(moves))
+        good = trial.ends({"target.desired_features": goals}, trial.longest()).settled
         for i, settled in zip(rows, good, strict=True):
             found[i] = bool(settled)
     return found
@@ -336,7 +335,7 @@ def _largest(scene: Scene, unit: Array) -> tuple[float, str]:
     for _ in range(2):  # the grid, then refined inside the cell that has the border
         sizes = np.linspace(low, most, 201)[1:]
         there = scene.home.moved(sizes[:, None] * unit)
-        seen = np.asarray(np.isfinite(scene.image(there)[0]).all(axis=1))
+        seen = np.asarray(np.isfinite(scene.pixels(there)).all(axis=1))
         good = seen & scene.reachable(there)
         if good.all():
             return float(sizes[-1]), limit

@@ -97,10 +97,15 @@ def quiet(scenario: Scenario) -> Scenario:
         raise NotApplicableError(f"the sampled loop refuses the scenario's times: {error}") from error
 
 
+def with_gains(scenario: Scenario) -> Scenario:
+    """Return the scenario with the gains that `auto` gave it written: of another goal or camera it has the same."""
+    written = gains_written(scenario)
+    return scenario.updated(written) if written else scenario
+
+
 def with_features(scenario: Scenario) -> Scenario:
     """Return the scenario with its pixels as features of a pinhole, of which the linear law is, and the same gains."""
-    written = gains_written(scenario)  # `auto` would fit them to the other camera
-    return on_pinhole(scenario.updated(written) if written else scenario)
+    return on_pinhole(with_gains(scenario))
 
 
 def clock_of(scenario: Scenario) -> Clock:

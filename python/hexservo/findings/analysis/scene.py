@@ -14,7 +14,7 @@ from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.leg_units import leg_units, stroke_length
 from hexservo.scenario.motion import moves
 from hexservo.scenario.parameters import Settings, core_parameters
-from hexservo.scenario.pixels import desired_features, has_pixels, pixel_slopes, to_features
+from hexservo.scenario.pixels import desired_features, has_pixels, pixel_slopes, to_features, to_pixels
 from hexservo.scenario.scenario import Scenario
 
 # Half widths of the region about home that is searched beside the workspace [mean depth; rad].
@@ -141,6 +141,13 @@ class Scene:
         seen = np.asarray((depth < -self._nearest).all(axis=1) & np.isfinite(features).all(axis=1))
         features, depth = np.where(seen[:, None], features, np.nan), np.where(seen[:, None], depth, np.nan)
         return features.reshape(*poses.shape, features.shape[-1]), depth.reshape(*poses.shape, depth.shape[-1])
+
+    def pixels(self, poses: Poses) -> Array:
+        """Return the image as pixels of the scenario's camera, (..., 2p) [px], as goals are written; NaN as `image`.
+
+        NaN as well where the lens does not show a point.
+        """
+        return to_pixels(self.scenario, self.image(poses)[0])
 
     def view(self, pose: Poses) -> View:
         """Return the view from one pose; the camera has points, or the pose is home."""

@@ -41,7 +41,7 @@ class Runs:
 
 
 def run(scene: Scene, law: RestLaw, rest: RestSet, ends: Extremes, kv: Array, fuzzy: bool) -> Runs:
-    """Run the scenario's law to its own goal and to 63 goals near home, without noise, faults and base motion.
+    """Run the scenario's law to its own goal and to 63 goals near home, without noise, faults, border and base motion.
 
     Half of the goals are seen from 30, 60 and 90 % of the way to extremes of the set around home, so that most of
     these platforms are held where they start; the others from random displacements of up to half the stroke or span,
@@ -71,7 +71,7 @@ def run(scene: Scene, law: RestLaw, rest: RestSet, ends: Extremes, kv: Array, fu
     if scenario.simulation.mode == "sampled":
         quiet = dict.fromkeys(("noise", "quantisation", "dropout", "outlier_probability"), 0.0)
         changes |= {f"camera.{key}": value for key, value in quiet.items()}
-        changes |= {**AT_REST, "sensors.noise": 0.0}
+        changes |= {**AT_REST, "sensors.noise": 0.0, "camera.image_size": None}
     goals = _goals(scene, rest, ends)
     batch = whole(simulate_batch(scenario.updated(changes), {"target.desired_features": goals}, threads=2))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from hexservo.findings.analysis.scene import scene_of
@@ -34,17 +34,26 @@ class Certificate(Findings):
     lyapunov: Lyapunov | None  # None where `open_questions` has the reason
     assumption: Assumption | None
     energy: EnergyLedger | None
-    differences: dict[str, float]  # of the result from the run that was certified, by quantity; empty: bit for bit
+    # of the result from the run that was certified, by quantity, infinite of what is no number; empty: bit for bit
+    differences: dict[str, float]
+    only_rounding: bool  # whether all of them are within rounding
     remark: str  # the same in a sentence
     open_questions: dict[str, str] = field(default_factory=dict)  # section -> why it has no numbers
 
     def sections(self) -> tuple[Section, ...]:
-        """Return the sections "lyapunov", "assumption" and "energy"."""
+        """Return the sections "lyapunov", "assumption" and "energy".
+
+        None has the verdict good where the certified run differs from the result by more than rounding.
+        """
         found = []
         for name, title in _TITLES.items():
             part = getattr(self, name)
             if part is not None:
-                found.append(part.section())
+                section = part.section()
+                if section.verdict == "good" and not self.only_rounding:
+                    sentences = [sentence for sentence in section.sentences if sentence != self.remark]
+                    section = replace(section, verdict="warning", sentences=[*sentences, self.remark])
+                found.append(section)
             else:
                 found.append(
                     Section(name, title, [self.open_questions[name]], data={"open": self.open_questions[name]})
@@ -61,7 +70,8 @@ class Certificate(Findings):
 def certify(result: Result) -> Certificate:
     """Certify a run: Lyapunov function, assumption of the theorem, energy ledger (docs/certificate/).
 
-    The scenario runs again with every step logged, and its samples are compared with the result's.
+    The scenario runs again with every step logged, and all that the result has is compared with it: its times, samples
+    and weights, and how it ended.
 
     Lyapunov function and assumption are the theorem's, for the law `hybrid` in continuous mode; other runs have the
     energy ledger alone, and their sections give the reason.
@@ -78,7 +88,8 @@ def certify(result: Result) -> Certificate:
     TypeError
         For anything but a `Result`.
     ValueError
-        For a result of a custom controller without every step (``simulation.log_every`` above 1); for
+        For a result without samples; for one of a custom controller without every step
+        (``simulation.log_every`` above 1, or samples that were taken out); for
         a run too long for a log of every step with its weights (2 GiB).
     """
     run = replay(result)
@@ -111,6 +122,7 @@ def certify(result: Result) -> Certificate:
         assumption=assumption,
         energy=energy,
         differences=dict(run.differences),
+        only_rounding=run.only_rounding,
         remark=run.remark,
         open_questions=open_questions,
     )

@@ -19,7 +19,7 @@ from hexservo.scenario.wording import number
 COARSE = 0.01  # share of the turnover: with a larger tolerance of the quadrature the step is too coarse
 NEGLIGIBLE = 1e-3  # of the work of lifting the weight by the stroke
 _ROUNDING = 1e-12  # of the turnover
-_SAME = 1e-9  # of the largest twist: what rebuilt steps may differ from the samples by
+_SAME = 1e-9  # of the largest twist, position or feature: what rebuilt samples may differ from those of the log by
 _ZERO = 1e-12  # likewise: a component that is zero but for rounding
 _LARGEST = 1e290  # of a turnover [J]: beyond it sums in smaller units overflow
 
@@ -36,6 +36,10 @@ class EnergyLedger(Part):
     tolerance: float  # largest residual that the quadrature may leave [J]
     turnover: float  # sum of the works' absolute values over terms and samples [J]
     mismatch: float  # largest difference of a rebuilt twist from its sample, by the largest twist [1]
+    # likewise of a rebuilt position, by the largest position or the stroke, and of a rebuilt quaternion [1]
+    pose_mismatch: float
+    # likewise of the image and the depths at a sample's pose, by the largest; 0 for a camera as_printed [1]
+    image_mismatch: float
     negligible: float  # a tolerance below it is small, however little was turned over [J]
     tossed: int  # steps in which rounding decided a sign, differently in the run and in its repetition
     crossings: int  # steps in which a component of the twist changes its sign
@@ -54,6 +58,16 @@ class EnergyLedger(Part):
             found.append(
                 f"the steps rebuilt from the samples miss the next sample by {self.mismatch:.2g} of the largest twist: "
                 "the acting wrench was not that of the log and the law"
+            )
+        if not self.pose_mismatch <= _SAME:
+            found.append(
+                f"the steps rebuilt from the samples miss the next pose by {self.pose_mismatch:.2g} (of the largest "
+                "position, or of a quaternion): the platform did not move with the twist of the log"
+            )
+        if not self.image_mismatch <= _SAME:
+            found.append(
+                f"the images at the poses of the log differ from its features or depths by {self.image_mismatch:.2g} "
+                "of the largest: they are not of the same run"
             )
         if not abs(self.residual) <= self.tolerance:
             found.append(f"a residual of {abs(self.residual):.3g} J is beyond the tolerance of {self.tolerance:.3g} J")
@@ -85,7 +99,7 @@ def energy_ledger(run: Replay, plant: Plant) -> EnergyLedger:
     inertia = plant.inertia(run.quaternion)
     energy = 0.5 * np.einsum("ni,nij,nj->n", run.twist, inertia, run.twist)
     works: dict[str, Array] = {}  # term -> (n - 1, 6)
-    tolerance = mismatch = 0.0
+    tolerance = mismatch = pose_mismatch = 0.0
     tossed = 0
     by_parts = np.ones(count - 1, dtype=bool)  # steps whose error the sum of its absolute parts bounds
     if run.continuous and _smooth(run):
@@ -107,8 +121,9 @@ def energy_ledger(run: Replay, plant: Plant) -> EnergyLedger:
         if by_parts[stages.tick].any():
             bound = _quadrature(stages, plant, inertia_there, turning)[1]
             tolerance += float(bound[by_parts[stages.tick]].sum())
-        difference, signs, doubt = _compare(run, stages, inertia)
-        mismatch, tossed, tolerance = max(mismatch, difference), tossed + signs, tolerance + doubt
+        compared = _compare(run, stages, inertia)
+        mismatch, pose_mismatch = max(mismatch, compared.twist), max(pose_mismatch, compared.pose)
+        tossed, tolerance = tossed + compared.tossed, tolerance + compared.doubt
     total = {term: work.sum(axis=1) for term, work in works.items()}
     turnover = float(sum(np.abs(work).sum() for work in total.values()))
     if not turnover + float(energy.max()) <= _LARGEST:
@@ -123,6 +138,8 @@ def energy_ledger(run: Replay, plant: Plant) -> EnergyLedger:
         tolerance=tolerance + _ROUNDING * (turnover + float(energy.max())),
         turnover=turnover,
         mismatch=mismatch,
+        pose_mismatch=pose_mismatch,
+        image_mismatch=_image_mismatch(run),
         negligible=NEGLIGIBLE * float(np.linalg.norm(terms.gravity[:3])) * stroke_length(run.scenario.robot),
         tossed=tossed,
         crossings=int(np.count_nonzero((run.twist[1:] * run.twist[:-1] < 0).any(axis=1))),
@@ -255,7 +272,17 @@ def _turning(stages: Stages, plant: Plant, plain: bool) -> Array:
     return power.reshape(stages.twist.shape[:2])
 
 
-def _compare(run: Replay, stages: Stages, inertia: Array) -> tuple[float, int, float]:
+@dataclass(frozen=True)
+class _Compared:
+    """Steps rebuilt to their ends, beside the samples there."""
+
+    twist: float = 0.0  # largest difference where no sign was tossed, by the largest twist [1]
+    pose: float = 0.0  # likewise of position and quaternion, see `EnergyLedger.pose_mismatch`
+    tossed: int = 0  # steps in which rounding decided a sign
+    doubt: float = 0.0  # energy of those [J]
+
+
+def _compare(run: Replay, stages: Stages, inertia: Array) -> _Compared:
     """Compare steps rebuilt to their ends with the samples there.
 
     With `sign`, rounding decides the sign of a component that is zero but for rounding, and the core's variants may
@@ -265,14 +292,9 @@ def _compare(run: Replay, stages: Stages, inertia: Array) -> tuple[float, int, f
     ----------
     inertia
         (n, 6, 6), of the samples.
-
-    Returns
-    -------
-    tuple
-        Largest difference of a twist elsewhere, by the largest twist; steps with such a sign; their energy [J].
     """
     if not stages.to_sample:
-        return 0.0, 0, 0.0
+        return _Compared()
     largest = max(float(np.abs(run.twist).max()), np.finfo(float).tiny)
     ends = stages.tick + 1
     difference = np.abs(stages.next_twist - run.twist[ends]).max(axis=1) / largest
@@ -286,7 +308,24 @@ def _compare(run: Replay, stages: Stages, inertia: Array) -> tuple[float, int, f
         for twist in (stages.next_twist, run.twist[ends])
     )
     doubt = float(np.abs(next(energies) - next(energies)).sum())
-    return float(difference[~tossed].max(initial=0.0)), int(np.count_nonzero(tossed)), doubt
+    length = max(float(np.abs(run.position).max()), stroke_length(run.scenario.robot))  # [m]
+    shift = np.abs(stages.next_position - run.position[ends]).max(axis=1) / length
+    turn = np.abs(stages.next_quaternion - run.quaternion[ends]).max(axis=1)
+    return _Compared(
+        twist=float(difference[~tossed].max(initial=0.0)),
+        pose=float(np.maximum(shift, turn)[~tossed].max(initial=0.0)),
+        tossed=int(np.count_nonzero(tossed)),
+        doubt=doubt,
+    )
+
+
+def _image_mismatch(run: Replay) -> float:
+    """Return by how much features and depths of the samples differ from those at their poses, by the largest [1]."""
+    if run.scenario.camera.convention != "eye_in_hand":
+        return 0.0
+    found = run.probe.image(run.position, run.quaternion)
+    pairs = zip(found, (run.features, run.depth), strict=True)
+    return max(float(np.abs(seen - logged).max() / np.abs(logged).max()) for seen, logged in pairs)
 
 
 def _smooth(run: Replay) -> bool:

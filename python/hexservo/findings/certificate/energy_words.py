@@ -98,7 +98,7 @@ def section(found: EnergyLedger) -> Section:
             "works": {term: found.work(term) for term in found.works},
             "works_by_component": {term: found.by_axis[term] for term in found.works},
             "change_of_kinetic_energy": change,
-            **picked(found, "residual tolerance turnover mismatch"),
+            **picked(found, "residual tolerance turnover mismatch pose_mismatch image_mismatch"),
             "sign_changes": found.crossings,
             "signs_by_rounding": found.tossed,
             "closes": found.closes,

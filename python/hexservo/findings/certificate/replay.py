@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -13,9 +13,10 @@ from hexservo.run.simulation import simulate, uninterrupted
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.parameters import Settings, core_parameters
 from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.version import VERSION
 
-# what two runs are compared by -> unit
-_COMPARED = {
+# what the samples of two runs are compared by -> unit
+_SAMPLES = {
     "feature_error": "px",
     "depth": "m",
     "position": "m",
@@ -23,7 +24,13 @@ _COMPARED = {
     "twist": "m/s or rad/s",
     "wrench": "N or N m",
     "fuzzy_output": "N or N m",
+    "leg_lengths": "m or rad",
+    "leg_forces": "N or N m",
+    "weight_history": "N or N m",
 }
+_OF_END = {"fuzzy_weights": "N or N m", "end_time": "s", "streamed_metrics": "", "events": "", "outcome": ""}
+_COMPARED = {"time": "s", **_SAMPLES, **_OF_END}  # all but `detail`, the sentence about the outcome
+_ROUNDING = 1e-9  # of a quantity's largest value
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +51,8 @@ class Replay:
     leg_forces: Array  # (n, 6) [N]
     weights: Array | None  # (n, 6, 7, 7) [N; N m]; None where no fuzzy systems act
     differences: Mapping[str, float]  # quantities of the result that this run did not reproduce: largest difference
+    only_rounding: bool  # whether all differences are within rounding
+    version: str  # of hexservo that made the result
     settings: Settings = field(repr=False)
     probe: _core.Probe = field(repr=False)
 
@@ -65,12 +74,19 @@ class Replay:
         if not self.differences:
             return "The run was repeated with every step logged, and gave the result's samples bit for bit."
         worst = ", ".join(
-            f"{name} by up to {difference:.3g} {_COMPARED[name]}" for name, difference in self.differences.items()
+            f"{name} by up to {difference:.3g} {_COMPARED[name]}" if np.isfinite(difference) else name
+            for name, difference in self.differences.items()
         )
-        return (
-            f"The run was repeated and differs from the result in {worst}: "
-            "another version or compiled variant made the result, and this certifies the repeated run."
-        )
+        if self.version != VERSION:
+            why = f"version {self.version} made the result, and this is {VERSION}"
+        elif self.only_rounding:
+            why = "another compiled variant made the result, which rounds otherwise"
+        else:
+            why = (
+                "the versions are the same, so the result is not a run of its scenario, unless another compiled "
+                "variant made it and the motion magnifies rounding"
+            )
+        return f"The run was repeated and differs from the result in {worst}: {why}. This certifies the repeated run."
 
 
 def replay(result: Result) -> Replay:
@@ -83,19 +99,31 @@ def replay(result: Result) -> Replay:
     TypeError
         For anything but a `Result`.
     ValueError
-        For a result of a custom controller whose steps are not all logged; for a log that does not fit into the
-        core's limit of 2 GiB.
+        For a result without samples; for a result of a custom controller whose steps are not all logged; for a log
+        that does not fit into the core's limit of 2 GiB.
     """
     require_result(result)
     scenario = result.scenario
+    if len(result.time) == 0:
+        raise ValueError("result: expected at least one sample, got none; run its scenario again with hs.simulate")
     own = not result.by_law
     if own and scenario.simulation.log_every != 1:
         raise ValueError(
             f"result: expected simulation.log_every = 1 of a run with a custom controller ({result.controller}), "
             f"since it cannot be run again, got {scenario.simulation.log_every}"
         )
-    run = result if own else every_step(scenario)
-    return replay_of(run, scenario, result.end_time, own=own, differences={} if own else _differences(result, run))
+    if own:
+        _require_every_step(result)
+        return replay_of(result, scenario, result.end_time, own=True)
+    run = every_step(scenario)
+    found = replay_of(run, scenario, result.end_time)
+    differences = _differences(result, run)
+    return replace(
+        found,
+        differences={name: largest for name, (largest, _) in differences.items()},
+        only_rounding=all(rounding for _, rounding in differences.values()),
+        version=result.version,
+    )
 
 
 def every_step(scenario: Scenario) -> Result:
@@ -115,7 +143,6 @@ def replay_of(
     end_time: float,
     *,
     own: bool = False,
-    differences: Mapping[str, float] | None = None,
 ) -> Replay:
     """Select the samples of a run that has every step, up to a time [s]."""
     count = min(len(run.time), round(end_time / scenario.simulation.step) + 1)
@@ -125,26 +152,70 @@ def replay_of(
         own=own,
         **{name: getattr(run, name)[:count] for name in ("time", "features", *_COMPARED, "leg_forces")},
         weights=None if run.weight_history is None else run.weight_history[:count],
-        differences=differences or {},
+        differences={},
+        only_rounding=True,
+        version=run.version,
         settings=settings,
         probe=_core.Probe(settings),
     )
 
 
-def _differences(result: Result, run: Result) -> dict[str, float]:
-    """Return the largest difference of every quantity that is not the same, bit for bit; infinite where one ended."""
-    places = np.rint(result.time / result.scenario.simulation.step).astype(np.intp)
-    if places[-1] >= len(run.time):
-        return dict.fromkeys(_COMPARED, np.inf)
-    found = {}
-    for name in _COMPARED:
-        mine, theirs = getattr(run, name)[places], getattr(result, name)
-        other = (mine != theirs) & ~(np.isnan(mine) & np.isnan(theirs))
-        if other.any():
-            with np.errstate(over="ignore", invalid="ignore"):
-                largest = float(np.abs(mine[other] - theirs[other]).max())
-            found[name] = np.inf if np.isnan(largest) else largest
-    return found
+def _require_every_step(result: Result) -> None:
+    """Refuse the log of a custom controller that is not one sample a step, up to the end of the run."""
+    step, count = result.scenario.simulation.step, len(result.time)
+    steps = np.append(result.time, result.end_time) / step
+    if not np.allclose(steps, np.append(np.arange(count), count - 1), rtol=0.0, atol=1e-6):
+        raise ValueError(
+            f"result: expected a sample at every step of {step:g} s up to its end_time {result.end_time:g} s, since a "
+            f"run with a custom controller ({result.controller}) cannot be repeated, got {count} samples at other times"
+        )
+
+
+def _differences(result: Result, run: Result) -> dict[str, tuple[float, bool]]:
+    """Compare a result with its repeated run, which has every step.
+
+    Returns
+    -------
+    dict
+        What is not the same, bit for bit -> largest difference, infinite where it is no number, and whether it is
+        within rounding. Where the result has not the samples that its scenario asks for, no other samples are compared.
+    """
+    stopped = result.outcome == "interrupted"  # by its user: there is no end to compare
+    last = len(run.time)
+    if stopped:
+        last = min(last, round(result.end_time / result.scenario.simulation.step) + 1)
+    places = np.append(np.arange(0, last - 1, result.scenario.simulation.log_every), last - 1)
+    found = {"time": _difference(run.time[places], result.time)}
+    if found["time"] is None:
+        for name in _SAMPLES:
+            mine, theirs = getattr(run, name), getattr(result, name)
+            if theirs is not None:  # weights, where they are not logged
+                found[name] = _difference(mine[places], theirs)
+    if not stopped:
+        found["fuzzy_weights"] = _difference(run.fuzzy_weights, result.fuzzy_weights)
+        found["end_time"] = _difference(np.array(run.end_time), np.array(result.end_time))
+        of_run, of_result = ({**each.streamed_metrics} for each in (run, result))
+        same = of_run.keys() == of_result.keys() and np.array_equal(
+            list(of_run.values()), [of_result[name] for name in of_run], equal_nan=True
+        )
+        found["streamed_metrics"] = None if same else (np.inf, False)
+        found["events"] = None if run.events == result.events else (np.inf, False)
+        found["outcome"] = None if run.outcome == result.outcome else (np.inf, False)
+    return {name: difference for name, difference in found.items() if difference is not None}
+
+
+def _difference(mine: Array, theirs: Array) -> tuple[float, bool] | None:
+    """Return the largest difference of two arrays, and whether it is within rounding; None where they are the same."""
+    if mine.shape != theirs.shape:
+        return np.inf, False
+    other = (mine != theirs) & ~(np.isnan(mine) & np.isnan(theirs))
+    if not other.any():
+        return None
+    with np.errstate(over="ignore", invalid="ignore"):
+        largest = float(np.abs(mine[other] - theirs[other]).max())
+    if np.isnan(largest):
+        return np.inf, False
+    return largest, largest <= _ROUNDING * float(np.nanmax(np.abs(mine)))
 
 
 def sgn_breaks(twist: Array) -> Mask:

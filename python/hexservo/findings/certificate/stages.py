@@ -23,7 +23,7 @@ _CHUNK = 2048  # steps at a time: what they need stays in the processor's cache,
 # of steps that the core repeats, under its names
 _TAKEN = (
     *("features", "depth", "position", "quaternion", "twist", "wrench", "fuzzy_output", "acceleration"),
-    *("next_quaternion", "next_twist"),
+    *("next_position", "next_quaternion", "next_twist"),
 )
 
 
@@ -44,7 +44,8 @@ class Stages:
     acceleration: Array  # (m, 4, 6) [m/s^2; rad/s^2]
     start_quaternion: Array  # (m, 4)
     start_twist: Array  # (m, 6)
-    next_quaternion: Array  # (m, 4) after each step: the next sample, at the end of a period
+    next_position: Array  # (m, 3) after each step: the next sample, at the end of a period
+    next_quaternion: Array  # (m, 4), likewise
     next_twist: Array  # (m, 6)
     to_sample: bool  # whether the steps end at samples
 
@@ -150,6 +151,7 @@ def _sampled(run: Replay, ticks: NDArray[np.intp]) -> Iterator[Stages]:
             base=base if base_moves else None,
             start_quaternion=body[1],
             start_twist=body[2],
+            next_position=after[0],
             next_quaternion=after[1],
             next_twist=after[2],
             to_sample=substep == substeps - 1,
