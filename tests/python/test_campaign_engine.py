@@ -112,6 +112,27 @@ def test_a_result_sums_its_runs_up(whole: Path) -> None:
     assert str(RUNS) in repr(result)
 
 
+def test_runs_without_a_value_are_counted_with_the_reason(tmp_path: Path) -> None:
+    short = hs.load_scenario("composite-30hz").updated({"metrics.dwell": 0.05, "metrics.rms_start": 0.2})
+    file = {
+        "scenario": short,
+        "vary": {"simulation.duration": {"choice": [0.1, 0.4]}},
+        "require": ["settling_time <= 0.3", "rms_error <= 100"],
+        "runs": 20,
+    }
+    result = hs.campaign(file, tmp_path / "out", chunk_size=7)
+    table = result.to_dataframe()
+    missing = {name: int(table[name].isna().sum()) for name in ("rms_error", "settling_time")}
+    assert (table.outcome == "completed").all()
+    assert result.summary["without_value"] == missing
+    assert result.section().sentences[-2:] == [
+        f"{missing['rms_error']} of 20 runs complete without a value of rms_error, since they end before "
+        "metrics.rms_start; that counts as a failure.",
+        f"{missing['settling_time']} of 20 runs complete without a value of settling_time, since they are not within "
+        "metrics.band for metrics.dwell at their end; that counts as a failure.",
+    ]
+
+
 def test_the_worst_runs_come_as_scenarios(whole: Path) -> None:
     result = hs.load_campaign(whole)
     table = result.to_dataframe()

@@ -16,7 +16,7 @@ from hexservo.run.metrics import METRICS
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.rules import did_you_mean, is_number, refusal, shown_value
 
-__all__ = ["Requirement", "run_margins", "without_distance"]
+__all__ = ["COMPLETED", "Requirement", "run_margins", "without_distance"]
 
 COMPLETED = "completed"
 _COMPARISONS = {"<=": operator.le, ">=": operator.ge, "<": operator.lt, ">": operator.gt}
