@@ -93,6 +93,8 @@ def campaign(
     VariantError
         The folder's runs were computed by a compiled variant that this process, or a worker, does not use.
     """
+    if warn is not None and not callable(warn):
+        raise wrong_type("warn", "a function or None", warn)
     plan = load_plan(source, changes, runs=runs, chunk_size=chunk_size)
     store = Store(out, plan, new_record(plan))
     state = _State(store)
