@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 from pathlib import Path
@@ -136,6 +137,67 @@ def test_only_one_process_writes(tmp_path: Path) -> None:
             hs.campaign(FILE, tmp_path / "out")
 
     assert hs.campaign(FILE, tmp_path / "out", runs=100, progress=second).complete
+
+
+def test_a_worst_run_that_a_user_changed_is_kept(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    hs.campaign(FILE, out, runs=50)
+    first = (out / "worst-run.yaml").read_text(encoding="utf-8")
+    hs.campaign(FILE, out, runs=200)
+    larger = (out / "worst-run.yaml").read_text(encoding="utf-8")
+    assert larger != first, "an unchanged file is replaced"
+    warnings: list[str] = []
+    for theirs in ("My notes", larger.replace("name: ", "name: my-")):
+        (out / "worst-run.yaml").write_text(theirs, encoding="utf-8")
+        assert hs.campaign(FILE, out, runs=200, warn=warnings.append).complete
+        assert (out / "worst-run.yaml").read_text(encoding="utf-8") == theirs
+    assert len(warnings) == 2
+    assert 'worst-run.yaml": expected a file as hexservo wrote it, got a different one, which is kept' in warnings[0]
+    plain = larger.partition("\n")[2]  # as earlier versions wrote it
+    (out / "worst-run.yaml").write_text(plain, encoding="utf-8")
+    hs.campaign(FILE, out, runs=200)
+    assert (out / "worst-run.yaml").read_text(encoding="utf-8") == larger
+
+
+def test_a_worst_case_that_a_user_changed_is_kept(whole: Path, tmp_path: Path) -> None:
+    shutil.copytree(whole, tmp_path / "out")
+    result = hs.load_campaign(tmp_path / "out")
+    case = tmp_path / "out" / "worst-case.yaml"
+    case.write_text("My notes", encoding="utf-8")
+    with pytest.raises(OutputError, match="expected a file as hexservo wrote it, got a different one, which is kept"):
+        hs.worst_case(result, runs=10, restarts=1)
+    assert case.read_text(encoding="utf-8") == "My notes"
+    case.unlink()
+    found = hs.worst_case(result, runs=10, restarts=1)
+    assert hs.worst_case(result, runs=20, restarts=1).scenario == hs.load_scenario(found.path)
+
+
+def test_a_page_and_pictures_of_a_user_are_kept(tmp_path: Path) -> None:
+    result = hs.campaign(FILE, tmp_path / "out", runs=20)
+    page, pictures = result.folder / "report.html", result.folder / "pictures"
+    page.write_text("<!doctype html>My notes", encoding="utf-8")
+    with pytest.raises(OutputError, match=r'report\.html": expected a file as hexservo wrote it, got a different one'):
+        hs.write_campaign_report(result)
+    assert page.read_text(encoding="utf-8") == "<!doctype html>My notes"
+    page.unlink()
+    pictures.mkdir()
+    (pictures / "interval-failure-probability.svg").write_text("mine", encoding="utf-8")
+    with pytest.raises(OutputError, match="the folder holds files that are not results of hexservo"):
+        hs.write_campaign_report(result, pictures=True)
+    assert [path.read_text(encoding="utf-8") for path in pictures.iterdir()] == ["mine"]
+    shutil.rmtree(pictures)
+    hs.write_campaign_report(result, pictures=True)
+    (pictures / "interval-failure-probability.svg").write_text("mine", encoding="utf-8")
+    with pytest.raises(OutputError, match=r"interval-failure-probability.svg \(changed since\); move them away"):
+        hs.write_campaign_report(result, pictures=True)
+
+
+def test_a_folder_whose_name_is_no_text_has_a_page(tmp_path: Path) -> None:
+    folder = tmp_path / os.fsdecode(b"out-\xff")
+    result = hs.campaign(FILE, folder, runs=10)
+    page = hs.write_campaign_report(result).read_text(encoding="utf-8")
+    assert r"out-\udcff" in page
+    repr(hs.load_campaign(folder)).encode()
 
 
 # ---- Results --------------------------------------------------------------------------------------------------------

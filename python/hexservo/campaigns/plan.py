@@ -300,7 +300,7 @@ def _beyond_settling(plan: CampaignPlan, requirement: Requirement) -> str:
     if requirement.name != "settling_time":
         return ""
     span, dwell = _reach(plan, _DURATION)[1], _reach(plan, _DWELL)[0]
-    if dwell > span or requirement.bound <= (span - dwell) * (1.0 + _ROUNDING):  # the former is said of the metric
+    if dwell > span or requirement.bound <= (span - dwell) * (1.0 + _ROUNDING):  # the former: `_without_value`
         return ""
     return (
         f"settling_time: expected a bound of at most {span - dwell:.6g} s, as a run of {span:g} s can settle no later "

@@ -12,7 +12,7 @@ import re
 import secrets
 import socket
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +33,7 @@ FORMAT = 1
 """Of a campaign's folder: raised with every change of what a chunk holds."""
 
 PLAN, SUMMARY, WORST = "campaign.yaml", "summary.json", "worst-run.yaml"
+_HEAD = "# Written by hexservo, which replaces it while it is unchanged; SHA-256 of the rest: "  # of scenarios
 _SEAL = "sha256"  # key of the digest of what a file holds beside it
 _CHUNK = re.compile(r"(?P<index>[0-9]{6,})\.parquet")
 _DRAFT = ".hexservo-{name}-{token}.part"  # no file of a user has such a name
@@ -42,6 +43,10 @@ _MAY_GROW = ("runs", "until")  # what the same campaign may change later: the in
 
 class ShorterChunkError(ResultError):
     """A chunk has fewer runs than it should: the last one of a campaign that has more runs now."""
+
+
+class KeptFileError(OutputError):
+    """A file that hexservo did not write, or that was changed since, has the name of one to be written."""
 
 
 class Store:
@@ -218,8 +223,8 @@ class Store:
         return summary if is_whole and summary["campaign"] == self.record["campaign"] else None
 
     def write_worst(self, text: str) -> None:
-        """Write ``worst-run.yaml``."""
-        write_text(self.folder / WORST, text)
+        """Write ``worst-run.yaml``; errors as for `write_scenario`."""
+        write_scenario(self.folder / WORST, text)
 
 
 @contextlib.contextmanager
@@ -334,6 +339,52 @@ def read_plan(folder: str | os.PathLike[str]) -> tuple[CampaignPlan, dict[str, A
             f"{record.get('hexservo')} reads differently; undo the change, or run a changed copy in a new folder"
         )
     return plan, record
+
+
+def require_own(path: Path, is_ours: Callable[[bytes], bool]) -> None:
+    """Refuse a path with anything but a file that `is_ours` recognises by its content; none is accepted.
+
+    Raises
+    ------
+    KeptFileError
+        What is there is kept.
+    """
+    try:
+        is_file = stat.S_ISREG(path.lstat().st_mode)
+        if is_file and is_ours(path.read_bytes()):
+            return
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise OutputError(f"{named(path)}: cannot be read: {error.strerror}") from None
+    raise KeptFileError(
+        f"{named(path)}: expected a file as hexservo wrote it, got a different one, which is kept; move it away"
+    )
+
+
+def require_own_scenario(path: Path, text: str = "") -> None:
+    """Refuse a path with a file that `write_scenario` would not replace by a text; errors as for `require_own`."""
+    require_own(path, lambda content: content == text.encode() or _has_seal(content))
+
+
+def write_scenario(path: Path, text: str) -> None:
+    """Write a scenario into a campaign's folder, in place of one that was not changed since, which its head shows.
+
+    Raises
+    ------
+    KeptFileError
+        There is a file that hexservo did not write, or that was changed since; it stays.
+    OutputError
+        It cannot be written.
+    """
+    require_own_scenario(path, text)
+    write_text(path, f"{_HEAD}{hashlib.sha256(text.encode()).hexdigest()}\n{text}")
+
+
+def _has_seal(content: bytes) -> bool:
+    """Return whether the head of a scenario has the digest of the rest."""
+    head, _, rest = content.partition(b"\n")
+    return head == f"{_HEAD}{hashlib.sha256(rest).hexdigest()}".encode()
 
 
 def write_text(path: Path, text: str) -> None:
