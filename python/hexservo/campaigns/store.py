@@ -214,7 +214,7 @@ class Store:
         write_bytes(self.folder / SUMMARY, text.encode())
 
     def read_summary(self) -> dict[str, Any] | None:
-        """Return the summary of this campaign; None where there is none as it was written."""
+        """Return the summary of this campaign; None where there is none as hexservo wrote it."""
         try:
             summary = json.loads((self.folder / SUMMARY).read_text(encoding="utf-8"))
             is_whole = summary.pop(_SEAL) == _digest(summary)
