@@ -542,6 +542,21 @@ def test_dataset(smooth: hs.Scenario, log: Log, tmp_path: Any) -> None:
             assert data[name].attrs["units"]
 
 
+def test_what_varies_has_its_unit_in_tables_and_datasets() -> None:
+    scenario = hs.load_scenario("composite-30hz").updated({"simulation.duration": 0.1})
+    poses = np.tile(scenario.simulation.start.pose, (2, 1))
+    variations = {"camera.noise": np.array([0.1, 0.2]), "simulation.start.pose": poses, "seed": np.array([1, 2])}
+    batch = hs.simulate_batch(scenario, variations, log="metrics", metrics=[])
+    units = batch.to_dataframe().attrs["units"]
+    assert units.pop("camera.noise") == "px"
+    assert [units.pop(f"simulation.start.pose[{entry}]") for entry in range(6)] == ["m"] * 3 + ["rad"] * 3
+    assert units == {"end_time": "s", "stop_time": "s", "seed": "1"}
+    data = batch.to_xarray()
+    assert data["camera.noise"].attrs["units"] == "px"
+    assert data["simulation.start.pose"].attrs["units"] == "m; rad"
+    assert data["seed"].attrs["units"] == "1"
+
+
 @pytest.mark.parametrize("log", ["final", "trajectory"])
 def test_a_dataset_shares_no_memory_with_the_batch(smooth: hs.Scenario, log: Log) -> None:
     batch = hs.simulate_batch(smooth, {"uncertainty.depth": np.array([0.1, 0.2])}, log=log)

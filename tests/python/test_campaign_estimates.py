@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable
 from typing import Any
@@ -276,6 +277,13 @@ def test_estimates_of_a_campaign() -> None:
     assert found.runs == 32 * (5 + 2)
     assert found.ranking()[0][0].startswith("target.rotation")
     assert found.ranking("peak_leg_excursion")[0][0] == found.ranking()[0][0]
-    assert found.section().sentences[0].startswith(f"margin: {found.ranking()[0][0]} has the largest total index")
+    (name, share), *_ = found.ranking()
+    low, high = found.indices["margin"].total_interval[found.inputs.index(name)]
+    interval = f"{share:.0%}, bootstrap interval at 95 %: {low:.0%} to {high:.0%}"
+    assert found.section().sentences[0].startswith(f"margin: {name} has the largest total index ({interval})")
+    for scale in (0.1, 10.0):  # of the estimates: above 1 or not
+        scaled = {key: dataclasses.replace(each, total=scale * each.total) for key, each in found.indices.items()}
+        last = dataclasses.replace(found, indices=scaled).section().sentences[-1]
+        assert last.startswith("Estimates of indices may exceed 100 %") == (scale > 1)
     with pytest.raises(ValueError, match=r"quantity: expected one of margin, .*, got 'settling_time'"):
         found.ranking("settling_time")

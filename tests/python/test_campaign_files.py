@@ -232,6 +232,7 @@ def test_packaged_campaigns_are_valid(name: str) -> None:
 
 VARIED = {"uncertainty.gravity": {"uniform": [-0.1, 0.1]}}
 SHORT_LIVED = hs.load_scenario("paper").updated({"simulation.duration": 0.04})
+HALF_A_SECOND = hs.load_scenario("paper").updated({"simulation.duration": 0.5})
 REFUSED = [
     (
         {"vary": {"uncertainty.gravty": {"uniform": [0, 1]}}},
@@ -333,6 +334,19 @@ REFUSED = [
         {"scenario": SHORT_LIVED, "require": ["settling_time <= 2"]},
         r"require\[0\]: settling_time: expected metrics.dwell within the 0.04 s of a run, got 0.2 s",
     ),
+    (
+        {"scenario": HALF_A_SECOND, "require": ["effort <= 1", "settling_time <= 0.4"]},
+        r"require\[1\]: settling_time: expected a bound of at most 0.3 s, as a run of 0.5 s can settle no later "
+        r"\(simulation.duration - metrics.dwell\), got 0.4 s; lower the bound or lengthen the run",
+    ),
+    (
+        {
+            "scenario": HALF_A_SECOND,
+            "vary": {"metrics.dwell": {"uniform": [0.1, 0.2]}},
+            "require": ["settling_time <= 0.45"],
+        },
+        r"require\[0\]: settling_time: expected a bound of at most 0.4 s",
+    ),
     ({"runs": None}, "runs: expected a number of runs, or until, got neither"),
     ({"runs": 0}, "runs: expected an integer from 1 to"),
     ({"until": {"probability": 1}}, r"until: expected \{probability_below: p\}"),
@@ -394,6 +408,24 @@ def test_refusals(change: dict[str, Any], message: str) -> None:
     file = {"scenario": "composite-30hz", "vary": VARIED, "require": ["effort <= 1"], "runs": 1}
     with pytest.raises(hs.ScenarioError, match=message):
         CampaignPlan(**{**file, **change})
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"require": ["settling_time <= 0.3"]},  # 0.5 - 0.2 is 0.3 but for rounding
+        {"vary": {"simulation.duration": {"choice": [0.4, 0.6]}}, "require": ["settling_time <= 0.4"]},
+        {"vary": {"metrics.dwell": {"uniform": [0.1, 0.2]}}, "require": ["settling_time <= 0.4"]},
+        {"vary": {"metrics.dwell": {"uniform": [-0.1, 0.0], "add": True}}, "require": ["settling_time <= 0.4"]},
+        {
+            "scenario": SHORT_LIVED,  # but no run is as short
+            "vary": {"simulation.duration": {"choice": [0.4, 0.6]}, "metrics.rms_start": {"choice": [0.1]}},
+            "require": ["settling_time <= 0.3", "rms_error <= 2"],
+        },
+    ],
+)
+def test_a_bound_that_some_run_can_reach_is_accepted(change: dict[str, Any]) -> None:
+    CampaignPlan(**{"scenario": HALF_A_SECOND, "vary": VARIED, "runs": 1, **change})
 
 
 def test_no_such_campaign() -> None:

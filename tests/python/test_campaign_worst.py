@@ -178,7 +178,7 @@ def test_what_has_no_worst_case(tmp_path: Path) -> None:
 def test_the_command_searches_the_worst_case(tmp_path: Path) -> None:
     (tmp_path / "c.yaml").write_text(
         "scenario: paper-composite\nvary: {uncertainty.gravity: {uniform: [-0.05, 0.05]}}\n"
-        "require: [settling_time <= 1]\nruns: 20\n",
+        "require: [settling_time <= 0.04]\nruns: 20\n",
         encoding="utf-8",
     )
     arguments = [

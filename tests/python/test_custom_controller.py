@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -322,3 +323,19 @@ def test_one_that_fails_is_a_row_of_a_comparison(sampled: hs.Scenario) -> None:
     assert "| paper | raises | failed |" in found.to_markdown()
     assert "paper,gives nan,failed,no," in found.to_csv()
     assert len(found.figure().axes) == 4
+
+
+@pytest.mark.parametrize(
+    ("name", "kept"), [("a\0b", r"a\x00b"), ("a\ud800", r"a\ud800"), ("a\nb", r"a\nb"), ("Größe", "Größe")]
+)
+def test_a_name_that_no_file_holds_is_kept_escaped(name: str, kept: str, tmp_path: Path) -> None:
+    def law(seen: hs.Observation) -> list[float]:
+        return [0.0] * 6
+
+    law.__qualname__ = name
+    scenario = hs.load_scenario("composite-30hz").updated({"simulation.duration": 0.02})
+    result = hs.simulate(scenario, controller=law)
+    assert result.controller == kept
+    result.save(tmp_path / "result.nc")
+    assert hs.load_result(tmp_path / "result.nc").controller == kept
+    repr(result).encode()

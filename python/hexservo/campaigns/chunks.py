@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hexservo.campaigns.requirements import Requirement, run_margins
+from hexservo.campaigns.requirements import COMPLETED, Requirement, run_margins
 from hexservo.run.batch import BatchResult
 from hexservo.run.sealed import ResultError
 from hexservo.run.variations import columns_of
@@ -70,6 +70,7 @@ class Tally:
     failed: list[int]  # by requirement
     runs: int = 0
     failures: int = 0  # runs that fail at least one requirement
+    valueless: Counter[str] = field(default_factory=Counter)  # completed runs, by required metric that has no value
     outcomes: Counter[str] = field(default_factory=Counter)
     worst: list[tuple[float, int]] = field(default_factory=list)  # (margin, index) of the worst runs, the worst first
 
@@ -78,6 +79,7 @@ class Tally:
         self.failed = [one + more for one, more in zip(self.failed, other.failed, strict=True)]
         self.runs += other.runs
         self.failures += other.failures
+        self.valueless.update(other.valueless)
         self.outcomes.update(other.outcomes)
         self.worst = sorted(self.worst + other.worst)[:_WORST]
 
@@ -89,11 +91,14 @@ def tally_of(table: pa.Table, requirements: Sequence[Requirement], duration: flo
     metrics = {one.name: _column(table, one.name) for one in requirements if one.name != "outcome"}
     times = _column(table, "simulation.duration") if "simulation.duration" in table.column_names else duration
     failed = run_margins(requirements, outcome, columns["end_time"], times, metrics) < 0
+    completed = outcome == COMPLETED
+    valueless = {name: int((np.isnan(values) & completed).sum()) for name, values in metrics.items()}
     worst = np.argsort(columns["margin"], kind="stable")[:_WORST]
     return Tally(
         failed=[int(count) for count in failed.sum(axis=0)],
         runs=len(outcome),
         failures=int(failed.any(axis=1).sum()),
+        valueless=Counter(valueless),
         outcomes=Counter(outcome.tolist()),
         worst=[(float(columns["margin"][place]), int(columns["index"][place])) for place in worst],
     )

@@ -11,11 +11,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from hexservo.campaigns.distributions import SEED, Variation, uniform_of
-from hexservo.run.variations import changes_of_run
+from hexservo.run.variations import changes_of_run, unit_of_varied
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.keys import numeric_keys, value_at
-from hexservo.scenario.leg_units import unit_of, unit_of_entry
-from hexservo.scenario.parameters import units_of_keys
 from hexservo.scenario.scenario import Scenario
 
 _BLOCK = 4  # numbers of 64 bits that one count of Philox gives
@@ -43,18 +41,12 @@ Translation (3,) [m] and rotation vector (3,) [rad] about the centroid of the po
 """
 
 
-# Of keys that the core has not; those of `auto` are within the block of the law.
-_UNITS = {**dict(zip(PLACED, ("m", "rad"), strict=True)), "auto.bandwidth": "Hz", "auto.damping": "1"}
+_UNITS = dict(zip(PLACED, ("m", "rad"), strict=True))
 
 
 def with_unit(scenario: Scenario, name: str) -> str:
     """Return the name of a number that varies, as ``target.rotation[0]``, or of a key, with its unit."""
-    key, _, entry = name.partition("[")
-    law = scenario.controller.law
-    unit = units_of_keys(law).get(key) or _UNITS.get(key.removeprefix(f"controller.{law}."), "")
-    if entry:
-        unit = unit_of_entry(unit, int(entry.partition("]")[0]))
-    unit = unit_of(scenario.robot, key, unit)
+    unit = _UNITS.get(name.partition("[")[0]) or unit_of_varied(scenario, name)
     return f"{name} [{unit}]" if unit else name
 
 

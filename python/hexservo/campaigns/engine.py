@@ -18,7 +18,7 @@ from hexservo.campaigns.engines import Chunk, Engine, engine_of
 from hexservo.campaigns.intervals import anytime_interval, runs_for_bound
 from hexservo.campaigns.plan import CampaignPlan, load_plan
 from hexservo.campaigns.result import CampaignResult, is_complete, scenario_of_run, summary_of
-from hexservo.campaigns.store import ShorterChunkError, Store, new_record
+from hexservo.campaigns.store import KeptFileError, ShorterChunkError, Store, new_record
 from hexservo.run.progress import ProgressCallback, progress_bar
 from hexservo.run.publish import OutputError, named
 from hexservo.run.sealed import ResultError
@@ -64,7 +64,8 @@ def campaign(
     progress
         True draws a bar on standard error; a function is called with (runs done, runs in all) in this thread.
     warn
-        Called with a sentence for each damaged chunk, which is computed again; None: nothing is called.
+        Called with a sentence for each damaged chunk, which is computed again, and for a changed ``worst-run.yaml``,
+        which is kept; None: nothing is called.
     engine
         "local": this process. "dask": a local Dask cluster with one worker for each core; the calling script needs the
         guard ``if __name__ == "__main__"``. ``tcp://host:port``: an existing Dask scheduler. Dask is the extra
@@ -91,9 +92,11 @@ def campaign(
     VariantError
         The folder's runs were computed by a compiled variant that this process, or a worker, does not use.
     """
+    if warn is not None and not callable(warn):
+        raise wrong_type("warn", "a function or None", warn)
     plan = load_plan(source, changes, runs=runs, chunk_size=chunk_size)
     store = Store(out, plan, new_record(plan))
-    state = _State(store)
+    state = _State(store, warn or (lambda sentence: None))
     with (
         engine_of(engine, store, threads, store_on_workers=store_on_workers) as chosen,
         store.opened(),
@@ -102,7 +105,7 @@ def campaign(
     ):
         interrupted = False
         try:
-            state.take_up(warn or (lambda sentence: None), asked)
+            state.take_up(asked)
             _compute(state, chosen, report, asked)
         except KeyboardInterrupt:  # of a second Ctrl-C, or of a handler that is not Python's own
             interrupted = True
@@ -138,8 +141,9 @@ def _ctrl_c_noted() -> Iterator[threading.Event]:
 class _State:
     """Chunks that are kept, and the counts of those from the first one on without a gap."""
 
-    def __init__(self, store: Store) -> None:
+    def __init__(self, store: Store, warn: Warn) -> None:
         self.store = store
+        self.warn = warn
         self.plan = store.plan
         self.tally = Tally([0] * len(self.plan.require))
         self.counted = 0  # chunks in the tally
@@ -153,7 +157,7 @@ class _State:
         """Runs that are kept."""
         return self.tally.runs + sum(tally.runs for tally in self.waiting.values())
 
-    def take_up(self, warn: Warn, asked: threading.Event) -> None:
+    def take_up(self, asked: threading.Event) -> None:
         """Count the chunks that are there; damaged ones are set aside."""
         for index in self.store.indices():
             if self.complete or asked.is_set():
@@ -164,7 +168,7 @@ class _State:
                 continue
             except ResultError as error:
                 aside = self.store.set_aside(index)
-                warn(f"{error}; it is now {named(aside)}, and its runs are computed again")
+                self.warn(f"{error}; it is now {named(aside)}, and its runs are computed again")
                 continue
             self.enter(index, tally_of(table, self.plan.require, self.plan.scenario.simulation.duration))
 
@@ -200,7 +204,10 @@ class _State:
         self.summarise(now=True)
         if self.tally.worst:
             worst = scenario_of_run(self.plan, self.tally.worst[0][1])
-            self.store.write_worst(worst.to_yaml())
+            try:
+                self.store.write_worst(worst.to_yaml())
+            except KeptFileError as error:
+                self.warn(f"{error}, and the same command writes the worst run")
         summary = summary_of(self.plan, self.store.record, self.tally)
         return CampaignResult(self.store.folder, self.plan, summary, interrupted=interrupted)
 

@@ -20,6 +20,7 @@ from hexservo.campaigns.store import Store, new_record
 from hexservo.run.batch import simulate_batch, thread_count
 from hexservo.run.publish import OutputError
 from hexservo.run.variant import VariantError
+from hexservo.scenario.wording import wrong_type
 from hexservo.scenario.yaml import ScenarioError
 
 if TYPE_CHECKING:
@@ -174,12 +175,16 @@ def engine_of(name: str, store: Store, threads: int | None, *, store_on_workers:
 
     Raises
     ------
+    TypeError
+        For anything but a name.
     ValueError
         There is no such engine, or it has no workers that could write.
     OutputError
         Dask is not installed, or no scheduler answers at the address.
     """
     thread_count(threads)
+    if not isinstance(name, str):
+        raise wrong_type("engine", f"one of {ENGINES}", name)
     if name == "local" and store_on_workers:
         raise ValueError("store_on_workers: expected the engine dask or tcp://host:port, got local")
     if name == "local":

@@ -52,7 +52,9 @@ _OF_LIMITS = {  # metrics that only some scenarios have
     "peak_base_joint": "robot.joint_limit",
     "peak_platform_joint": "robot.joint_limit",
 }
-_OF_TIMES = {"rms_error": "metrics.rms_start", "settling_time": "metrics.dwell"}  # metrics of runs that are long enough
+_DURATION, _DWELL = "simulation.duration", "metrics.dwell"
+_OF_TIMES = {"rms_error": "metrics.rms_start", "settling_time": _DWELL}  # metrics of runs that are long enough
+_ROUNDING = 1e-9  # of a bound that is the last time at which a run can settle
 _CHOSEN = "controller"  # the block whose keys a search for gains may choose
 _MOST_CORNERS = 10  # numbers that vary; each doubles the corners
 
@@ -108,6 +110,11 @@ class CampaignPlan(Block):
             ]
         asked: list[tuple[tuple[str | int, ...], str]] = [
             (("require", index), one.name) for index, one in enumerate(self.require)
+        ]
+        problems += [
+            (("require", index), sentence)
+            for index, one in enumerate(self.require)
+            if (sentence := _beyond_settling(self, one))
         ]
         if self.tune is not None:
             asked += [(("tune", "minimise"), name) for name in self.tune.minimise]
@@ -277,10 +284,36 @@ def _without_value(plan: CampaignPlan, metric: str) -> str:
     limit = _OF_LIMITS.get(metric)
     if limit is not None and limit not in plan.vary and value_at(plan.scenario, limit) is None:
         return f"{metric}: expected {limit} in the scenario, without which no run has a value, got null"
-    span, needed = plan.scenario.simulation.duration, _OF_TIMES.get(metric)
-    if needed is not None and needed not in plan.vary and value_at(plan.scenario, needed) > span:
-        return f"{metric}: expected {needed} within the {span:g} s of a run, got {value_at(plan.scenario, needed):g} s"
+    needed = _OF_TIMES.get(metric)
+    if needed is not None and (time := _reach(plan, needed)[0]) > (span := _reach(plan, _DURATION)[1]):
+        return f"{metric}: expected {needed} within the {span:g} s of a run, got {time:g} s"
     return ""
+
+
+def _beyond_settling(plan: CampaignPlan, requirement: Requirement) -> str:
+    """Return why no run shows whether it settles by the bound of a requirement; "" where some may.
+
+    A settled run is within the band for the dwell time at its end, so that an earlier bound would hold in its place.
+    """
+    if requirement.name != "settling_time":
+        return ""
+    span, dwell = _reach(plan, _DURATION)[1], _reach(plan, _DWELL)[0]
+    if dwell > span or requirement.bound <= (span - dwell) * (1.0 + _ROUNDING):  # the former: `_without_value`
+        return ""
+    return (
+        f"settling_time: expected a bound of at most {span - dwell:.6g} s, as a run of {span:g} s can settle no later "
+        f"(simulation.duration - metrics.dwell), got {requirement.bound:g} s; lower the bound or lengthen the run"
+    )
+
+
+def _reach(plan: CampaignPlan, key: str) -> tuple[float, float]:
+    """Return the least and the largest value that a key which holds a number has in the runs."""
+    present = float(value_at(plan.scenario, key))
+    if key not in plan.vary:
+        return present, present
+    variation = plan.vary[key]
+    low, high = variation.reach
+    return (low + present, high + present) if variation.add else (low, high)
 
 
 def _unfit_variable(scenario: Scenario, key: str, variable: Variable, vary: Mapping[str, Variation]) -> str:

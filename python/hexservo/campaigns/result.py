@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,12 +12,15 @@ from typing import TYPE_CHECKING, Any
 from hexservo.campaigns.chunks import Tally, tally_of
 from hexservo.campaigns.intervals import anytime_interval, clopper_pearson
 from hexservo.campaigns.plan import CampaignPlan
-from hexservo.campaigns.store import SUMMARY, Store, read_plan
+from hexservo.campaigns.store import Store, read_plan
 from hexservo.campaigns.words import summary_section
 from hexservo.findings.display import Findings
+from hexservo.run.publish import named
 from hexservo.run.sealed import ResultError
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.rules import did_you_mean
 from hexservo.scenario.scenario import Scenario, load_scenario, scenario_names
+from hexservo.scenario.wording import quoted, whole_number, wrong_type
 from hexservo.scenario.yaml import ScenarioError
 
 if TYPE_CHECKING:
@@ -71,7 +74,7 @@ class CampaignResult(Findings):
 
     def headline(self) -> str:
         """Return a line that names the folder."""
-        return f"Campaign in {self.folder}"
+        return f"Campaign in {named(self.folder)}"
 
     def tables(self, columns: Sequence[str] | None = None) -> Iterator[pa.Table]:
         """Yield the runs chunk by chunk, each verified by its SHA-256 first.
@@ -84,14 +87,24 @@ class CampaignResult(Findings):
         Raises
         ------
         ResultError
-            A chunk is damaged.
+            A chunk is damaged, or the folder holds another campaign by now.
+        TypeError
+            For anything but names of columns, or None.
+        ValueError
+            For a name that no column has.
         """
-        store = Store(self.folder, *read_plan(self.folder))
+        names = _names_of_columns(columns)
+        plan, record = read_plan(self.folder)
+        if record["campaign"] != self.summary["campaign"]:
+            raise ResultError(
+                f"{named(self.folder)}: expected the campaign of this result, got a different one; load it again"
+            )
+        store = Store(self.folder, plan, record)
         left, index = len(self), 0
         while left > 0:
-            table = store.read(index)
+            table = store.read(index)[:left]  # a folder may have more runs by now
             left, index = left - len(table), index + 1
-            yield table if columns is None else table.select(list(columns))
+            yield table if names is None else _selected(table, names)
 
     def to_arrow(self, columns: Sequence[str] | None = None) -> pa.Table:
         """Return the runs as one table in memory, ordered by index; arguments and errors as for `tables`.
@@ -105,7 +118,7 @@ class CampaignResult(Findings):
 
         tables = list(self.tables(columns))
         if not tables:
-            raise ValueError(f"{self.folder}: expected a campaign with runs, got none; run it first")
+            raise ValueError(f"{named(self.folder)}: expected a campaign with runs, got none; run it first")
         return pa.concat_tables(tables).combine_chunks()
 
     def to_dataframe(self, columns: Sequence[str] | None = None) -> pandas.DataFrame:
@@ -125,7 +138,10 @@ class CampaignResult(Findings):
         ------
         IndexError
             There is no such run.
+        TypeError
+            For anything but an integer.
         """
+        index = whole_number("index", index, -sys.maxsize)
         if not 0 <= index < len(self):
             raise IndexError(f"index: expected one from 0 to {len(self) - 1}, got {index}")
         return scenario_of_run(self.plan, index)
@@ -136,8 +152,16 @@ class CampaignResult(Findings):
         Parameters
         ----------
         count
-            How many, at most 10.
+            How many, at least 0; there are 10 at most.
+
+        Raises
+        ------
+        TypeError
+            For anything but an integer.
+        ValueError
+            For a negative one.
         """
+        count = whole_number("count", count, 0)
         found = self.summary["worst"][:count]
         return tuple(WorstRun(one["index"], one["margin"], self.scenario(one["index"])) for one in found)
 
@@ -160,13 +184,11 @@ def load_campaign(folder: str | os.PathLike[str]) -> CampaignResult:
     """
     plan, record = read_plan(folder)
     store = Store(folder, plan, record)
-    try:
-        summary = json.loads((store.folder / SUMMARY).read_text(encoding="utf-8"))
-        is_of_plan = summary["planned_runs"] == plan.runs and summary["until"] == plan.to_mapping()["until"]
-        if summary["campaign"] == record["campaign"] and is_of_plan and summary["complete"]:
+    summary = store.read_summary()  # not there, or changed: the chunks have it all
+    if summary is not None and summary["complete"]:
+        until = plan.to_mapping()["until"]
+        if (summary["planned_runs"], summary["until"]) == (plan.runs, until):
             return CampaignResult(store.folder, plan, summary)
-    except (OSError, ValueError, KeyError, TypeError):
-        pass  # not there, or changed: the chunks have it all
     tally = Tally([0] * len(plan.require))
     present = set(store.indices())
     index = 0
@@ -178,6 +200,26 @@ def load_campaign(folder: str | os.PathLike[str]) -> CampaignResult:
         tally.add(tally_of(table, plan.require, plan.scenario.simulation.duration))
         index += 1
     return CampaignResult(store.folder, plan, summary_of(plan, record, tally))
+
+
+def _names_of_columns(columns: Any) -> list[str] | None:
+    if columns is None:
+        return None
+    if isinstance(columns, str | bytes) or not isinstance(columns, Iterable):
+        raise wrong_type("columns", "names of columns, or None", columns)
+    names = list(columns)
+    for name in names:
+        if not isinstance(name, str):
+            raise wrong_type("columns", "names of columns, or None", name)
+    return names
+
+
+def _selected(table: pa.Table, names: list[str]) -> pa.Table:
+    for name in names:
+        if name not in table.column_names:
+            hint = did_you_mean(name, table.column_names)
+            raise ValueError(f"columns: expected names of {', '.join(table.column_names)}, got {quoted(name)}{hint}")
+    return table.select(names)
 
 
 # ---- Runs -----------------------------------------------------------------------------------------------------------
@@ -235,6 +277,7 @@ def summary_of(plan: CampaignPlan, record: dict[str, Any], tally: Tally) -> dict
             }
             for requirement, failed in zip(plan.require, tally.failed, strict=True)
         ],
+        "without_value": {name: count for name, count in sorted(tally.valueless.items()) if count},
         "outcomes": dict(sorted(tally.outcomes.items())),
         "worst": [{"index": index, "margin": margin} for margin, index in tally.worst],
     }

@@ -71,7 +71,11 @@ class Sensitivity(Findings):
         for quantity in (name for name in self.indices if name == "margin" or name in required):
             (one, share), *others = self.ranking(quantity)
             second = f", then {others[0][0]} ({others[0][1]:.0%})" if others else ""
-            sentences.append(f"{quantity}: {one} has the largest total index ({share:.0%}){second}.")
+            low, high = self.indices[quantity].total_interval[self.inputs.index(one)]
+            largest = f"{share:.0%}, bootstrap interval at 95 %: {low:.0%} to {high:.0%}"
+            sentences.append(f"{quantity}: {one} has the largest total index ({largest}){second}.")
+        if any((found.total > 1.0).any() for found in self.indices.values()):
+            sentences.append("Estimates of indices may exceed 100 %, which no index does; more samples narrow them.")
         items: list[Item] = []
         if "margin" in self.indices:
             found = self.indices["margin"]

@@ -11,7 +11,8 @@ import os
 import re
 import secrets
 import socket
-from collections.abc import Iterator
+import stat
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,13 +33,20 @@ FORMAT = 1
 """Of a campaign's folder: raised with every change of what a chunk holds."""
 
 PLAN, SUMMARY, WORST = "campaign.yaml", "summary.json", "worst-run.yaml"
+_HEAD = "# Written by hexservo, which replaces it while it is unchanged; SHA-256 of the rest: "  # of scenarios
+_SEAL = "sha256"  # key of the digest of what a file holds beside it
 _CHUNK = re.compile(r"(?P<index>[0-9]{6,})\.parquet")
-_PART = ".part"
+_DRAFT = ".hexservo-{name}-{token}.part"  # no file of a user has such a name
+_DRAFTS = re.compile(_DRAFT.replace(".", r"\.").format(name=".+", token="[0-9a-f]{12}"))
 _MAY_GROW = ("runs", "until")  # what the same campaign may change later: the interval holds at any stop
 
 
 class ShorterChunkError(ResultError):
     """A chunk has fewer runs than it should: the last one of a campaign that has more runs now."""
+
+
+class KeptFileError(OutputError):
+    """A file that hexservo did not write, or that was changed since, has the name of one to be written."""
 
 
 class Store:
@@ -125,7 +133,7 @@ class Store:
         plan = self.folder / PLAN
         if plan.exists():
             self._take_up()
-        elif not all(entry.name.endswith(_PART) for entry in self.folder.iterdir()):
+        elif not all(map(_is_draft, self.folder.iterdir())):
             raise OutputError(
                 f"{named(self.folder)}: expected a new folder or that of a campaign, got one with other files"
             )
@@ -200,13 +208,23 @@ class Store:
             self.path_of(index).unlink(missing_ok=True)
 
     def write_summary(self, summary: dict[str, Any]) -> None:
-        """Write ``summary.json``."""
-        text = json.dumps(summary, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+        """Write ``summary.json``, with the SHA-256 of the rest."""
+        sealed = {**summary, _SEAL: _digest(summary)}
+        text = json.dumps(sealed, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
         write_bytes(self.folder / SUMMARY, text.encode())
 
+    def read_summary(self) -> dict[str, Any] | None:
+        """Return the summary of this campaign; None where there is none as hexservo wrote it."""
+        try:
+            summary = json.loads((self.folder / SUMMARY).read_text(encoding="utf-8"))
+            is_whole = summary.pop(_SEAL) == _digest(summary)
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            return None
+        return summary if is_whole and summary["campaign"] == self.record["campaign"] else None
+
     def write_worst(self, text: str) -> None:
-        """Write ``worst-run.yaml``."""
-        write_text(self.folder / WORST, text)
+        """Write ``worst-run.yaml``; errors as for `write_scenario`."""
+        write_scenario(self.folder / WORST, text)
 
 
 @contextlib.contextmanager
@@ -216,8 +234,10 @@ def locked(folder: Path) -> Iterator[None]:
     Raises
     ------
     OutputError
-        A process writes there now, or it cannot be made.
+        It is a file; a process writes there now; it cannot be made.
     """
+    if folder.exists() and not folder.is_dir():
+        raise OutputError(f"{named(folder)}: expected a folder, got a file; name another place")
     with _refusing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
@@ -245,8 +265,13 @@ def remove_drafts(folder: Path) -> None:
     """
     with _refusing(folder):
         for entry in folder.iterdir():
-            if entry.name.startswith(".") and entry.name.endswith(_PART):
+            if _is_draft(entry):
                 entry.unlink()
+
+
+def _is_draft(path: Path) -> bool:
+    """Return whether a path is a file that `write_bytes` had begun when its process was killed."""
+    return _DRAFTS.fullmatch(path.name) is not None and stat.S_ISREG(path.lstat().st_mode)
 
 
 def contents(folder: Path) -> list[str]:
@@ -257,21 +282,29 @@ def contents(folder: Path) -> list[str]:
 def new_record(plan: CampaignPlan) -> dict[str, Any]:
     """Return what a folder records of a campaign that begins now, beside its file."""
     variant = plan.required_variant()
-    requirements = [requirement.to_plain() for requirement in plan.require]
-    keys = [plan.digest(), requirements, list(plan.kept_metrics()), FORMAT, VERSION, variant]
     return {
         "format": FORMAT,
         "hexservo": VERSION,
         "variant": variant,
         "digest": plan.digest(),
-        "campaign": hashlib.sha256(json.dumps(keys).encode()).hexdigest(),
+        "campaign": _campaign_digest(plan, VERSION, variant),
         "fixed_runs": plan.runs if plan.until is None else None,
     }
 
 
+def _campaign_digest(plan: CampaignPlan, version: Any, variant: Any) -> str:
+    """Return the SHA-256 of all that determines the chunks of a campaign."""
+    requirements = [requirement.to_plain() for requirement in plan.require]
+    return _digest([plan.digest(), requirements, list(plan.kept_metrics()), FORMAT, version, variant])
+
+
+def _digest(value: Any) -> str:
+    return hashlib.sha256(json.dumps(value).encode()).hexdigest()
+
+
 def plan_text(plan: CampaignPlan, record: dict[str, Any]) -> str:
-    """Return the text of ``campaign.yaml``."""
-    return dump_yaml({**plan.to_mapping(), "record": record})
+    """Return the text of ``campaign.yaml``, whose record has the SHA-256 of the rest."""
+    return dump_yaml({**plan.to_mapping(), "record": {**record, _SEAL: _digest([plan.to_mapping(), record])}})
 
 
 def read_plan(folder: str | os.PathLike[str]) -> tuple[CampaignPlan, dict[str, Any]]:
@@ -280,7 +313,7 @@ def read_plan(folder: str | os.PathLike[str]) -> tuple[CampaignPlan, dict[str, A
     Raises
     ------
     ResultError
-        There is no campaign, or one of a format that this version does not read.
+        There is no campaign, one that was changed since, or one of a format that this version does not read.
     """
     path = Path(path_text("folder", folder)) / PLAN
     if not path.is_file():
@@ -293,11 +326,65 @@ def read_plan(folder: str | os.PathLike[str]) -> tuple[CampaignPlan, dict[str, A
                 f"{named(path)}: expected a campaign of format {FORMAT}, got a file without it; "
                 "use the version of hexservo that wrote it"
             )
-        return CampaignPlan(**document), record  # type: ignore[arg-type]
+        plan = CampaignPlan(**document)  # type: ignore[arg-type]
     except ScenarioError as error:
         raise ResultError(
             f"{named(path)}: expected a campaign that this version reads, got: {error.problems[0]}"
         ) from None
+    seal = record.pop(_SEAL, None)
+    whole = seal in (None, _digest([plan.to_mapping(), record]))  # a folder of an earlier version has none
+    if not whole or record.get("campaign") != _campaign_digest(plan, record.get("hexservo"), record.get("variant")):
+        raise ResultError(
+            f"{named(path)}: expected the file as hexservo wrote it, got one that was changed since, or that hexservo "
+            f"{record.get('hexservo')} reads differently; undo the change, or run a changed copy in a new folder"
+        )
+    return plan, record
+
+
+def require_own(path: Path, is_ours: Callable[[bytes], bool]) -> None:
+    """Refuse a path with anything but a file that `is_ours` recognises by its content; none is accepted.
+
+    Raises
+    ------
+    KeptFileError
+        What is there is kept.
+    """
+    try:
+        is_file = stat.S_ISREG(path.lstat().st_mode)
+        if is_file and is_ours(path.read_bytes()):
+            return
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise OutputError(f"{named(path)}: cannot be read: {error.strerror}") from None
+    raise KeptFileError(
+        f"{named(path)}: expected a file as hexservo wrote it, got a different one, which is kept; move it away"
+    )
+
+
+def require_own_scenario(path: Path, text: str = "") -> None:
+    """Refuse a path with a file that `write_scenario` would not replace by a text; errors as for `require_own`."""
+    require_own(path, lambda content: content == text.encode() or _has_seal(content))
+
+
+def write_scenario(path: Path, text: str) -> None:
+    """Write a scenario into a campaign's folder, in place of one that was not changed since, which its head shows.
+
+    Raises
+    ------
+    KeptFileError
+        There is a file that hexservo did not write, or that was changed since; it stays.
+    OutputError
+        It cannot be written.
+    """
+    require_own_scenario(path, text)
+    write_text(path, f"{_HEAD}{hashlib.sha256(text.encode()).hexdigest()}\n{text}")
+
+
+def _has_seal(content: bytes) -> bool:
+    """Return whether the head of a scenario has the digest of the rest."""
+    head, _, rest = content.partition(b"\n")
+    return head == f"{_HEAD}{hashlib.sha256(rest).hexdigest()}".encode()
 
 
 def write_text(path: Path, text: str) -> None:
@@ -319,7 +406,7 @@ def write_bytes(path: Path, content: bytes) -> None:
     OutputError
         It cannot be written.
     """
-    draft = path.with_name(f".{path.name}-{secrets.token_hex(6)}{_PART}")
+    draft = path.with_name(_DRAFT.format(name=path.name, token=secrets.token_hex(6)))
     with _refusing(path):
         path.parent.mkdir(exist_ok=True)
         try:

@@ -21,7 +21,7 @@ from hexservo.campaigns.engine import campaign
 from hexservo.campaigns.plan import CampaignPlan, load_plan
 from hexservo.campaigns.result import CampaignResult
 from hexservo.campaigns.search_steps import SearchSteps
-from hexservo.campaigns.store import PLAN, read_plan, write_text
+from hexservo.campaigns.store import PLAN, read_plan, require_own_scenario, write_scenario, write_text
 from hexservo.campaigns.strategies import best_candidate, front_of, relax
 from hexservo.campaigns.tune_result import Edge, FrontPoint, Generation, Relaxation, TuneResult
 from hexservo.campaigns.worst_case import MAX_SEED
@@ -91,8 +91,8 @@ def tune(
     TypeError
         For arguments of other types.
     OutputError
-        The folder holds something else or a different search, or cannot be written; pymoo, of the extra ``tune``, is
-        not installed for two metrics.
+        The folder holds something else, a different search or a changed ``tuned.yaml``, or cannot be written; pymoo,
+        of the extra ``tune``, is not installed for two metrics.
     VariantError
         As `campaign`.
     KeyboardInterrupt
@@ -108,6 +108,7 @@ def tune(
         raise OutputError('minimise: expected an installation with pymoo for two metrics: pip install "hexservo[tune]"')
     steps = SearchSteps(out, plan, seed, generations, warn or (lambda sentence: None))
     with steps.opened(), reporting(progress, "generations") as report:
+        require_own_scenario(steps.folder / _TUNED)  # before the search
         candidates = Candidates(plan, plan.tune, steps, seed, threads)
         search = _Search(candidates, generations, rounds, report)
         search.run()
@@ -216,7 +217,7 @@ def _finished(search: _Search, plan: CampaignPlan, folder: Path, threads: int | 
     both = candidates.judged(np.stack([search.best, search.start]))
     feasible = bool(both.feasible[0])
     scenario = plan.scenario.updated(candidates.gains(search.best))
-    write_text(folder / _TUNED, scenario.to_yaml())
+    write_scenario(folder / _TUNED, scenario.to_yaml())
     held_out: CampaignResult | None = None
     front: tuple[FrontPoint, ...] = ()
     assert plan.tune is not None

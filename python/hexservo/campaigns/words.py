@@ -11,6 +11,14 @@ _PAGE = "docs/campaigns.md"
 _OF_EACH = ("failures", "from", "to")
 _OFTEN = 0.5  # failure probability above which a campaign without a goal for it is bad,
 _SELDOM = 0.1  # and below which it may be good
+_REASONS = {  # why a completed run has no value of a metric (docs/model.md, section 8)
+    "settling_time": "they are not within metrics.band for metrics.dwell at their end",
+    "rms_error": "they end before metrics.rms_start",
+    "chatter": "they end where they start",
+    "peak_leg_speed": "robot.speed_limit is null",
+    "peak_base_joint": "robot.joint_limit is null",
+    "peak_platform_joint": "robot.joint_limit is null",
+}
 
 
 def summary_section(summary: dict[str, Any]) -> Section:
@@ -71,11 +79,18 @@ def verdict_sentences(summary: dict[str, Any]) -> list[str]:
             f"The number of runs was fixed before the first one. For that case alone, the interval of Clopper and "
             f"Pearson is {below(low)} to {above(high)}."
         )
+    sentences += [_valueless(name, count, runs) for name, count in summary["without_value"].items()]
     if not summary["complete"]:
         planned = summary["planned_runs"]
         of = "" if planned is None else f" of {planned} runs"
         sentences.append(f"The campaign is not complete: {runs}{of} are kept.")
     return sentences
+
+
+def _valueless(metric: str, count: int, runs: int) -> str:
+    """Return how many completed runs have no value of a metric that is required, and why."""
+    reason = f", since {_REASONS[metric]}" if metric in _REASONS else ""
+    return f"{count} of {runs} runs complete without a value of {metric}{reason}; that counts as a failure."
 
 
 def _decided(summary: dict[str, Any]) -> str | None:

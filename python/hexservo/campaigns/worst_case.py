@@ -12,7 +12,7 @@ import numpy as np
 
 from hexservo.campaigns.judging import Judge
 from hexservo.campaigns.result import CampaignResult, command_with_changes
-from hexservo.campaigns.store import write_text
+from hexservo.campaigns.store import require_own_scenario, write_scenario
 from hexservo.findings.diagnosis import diagnose
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Cell, Column, Section, Table
@@ -79,7 +79,7 @@ def worst_case(
 ) -> WorstCase:
     """Search the box of a campaign's variations for its smallest margin (docs/campaigns.md, section 7).
 
-    The case is written to ``worst-case.yaml`` in the campaign's folder, in place of an earlier one.
+    The case is written to ``worst-case.yaml`` in the campaign's folder, in place of an earlier one that is unchanged.
 
     CMA-ES (Hansen 2016) minimises the margin of all requirements together, and of each by itself, from the campaign's
     worst runs. The box is that of the distributions: 3 standard deviations for a normal one without a clip. Seeds are
@@ -106,7 +106,7 @@ def worst_case(
     ValueError
         The campaign has no runs, or nothing but seeds varies; a number is out of its range.
     OutputError
-        ``worst-case.yaml`` in the campaign's folder cannot be written (a `ValueError`).
+        ``worst-case.yaml`` in the campaign's folder was changed, and is kept, or cannot be written (a `ValueError`).
     KeyboardInterrupt
         Ctrl-C: nothing is written.
     """
@@ -115,6 +115,7 @@ def worst_case(
     runs, restarts = whole_number("runs", runs, 1), whole_number("restarts", restarts, 1)
     seed = whole_number("seed", seed, 0, MAX_SEED)
     plan, starts = result.plan, [one["index"] for one in result.summary["worst"]][:restarts]
+    require_own_scenario(result.folder / CASE)  # before the search
     judge = Judge(plan, threads)
     drawing = judge.drawing
     if not starts or not drawing.dimension:
@@ -142,7 +143,7 @@ def worst_case(
     drawn = drawing.variations(drawing.numbers_at(place[None], start))
     changes = drawing.base | changes_of_run(drawn, law)
     scenario = plan.scenario.updated(changes)
-    write_text(result.folder / CASE, scenario.to_yaml())
+    write_scenario(result.folder / CASE, scenario.to_yaml())
     return WorstCase(
         scenario,
         result.folder / CASE,

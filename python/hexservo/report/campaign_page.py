@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -12,13 +11,15 @@ from hexservo.campaigns.distributions import Variation
 from hexservo.campaigns.drawing import with_unit
 from hexservo.campaigns.pictures import campaign_sections
 from hexservo.campaigns.result import CampaignResult
-from hexservo.campaigns.store import write_bytes, write_text
+from hexservo.campaigns.store import require_own, write_bytes, write_text
 from hexservo.draw.evidence import item_figure
 from hexservo.draw.style import image_bytes
 from hexservo.findings.evidence import Column, Section, Table
 from hexservo.report.evidence_html import badge, item_html, section_html, table_html
-from hexservo.report.html import Html, element, paragraphs
+from hexservo.report.html import TITLE, Html, element, paragraphs
 from hexservo.report.page import assembled, explanations, plotly_script, scenario_part
+from hexservo.run.files import check_folder, mark_folder
+from hexservo.run.publish import named
 from hexservo.scenario.wording import wrong_type
 
 __all__ = ["REPORT", "write_campaign_report"]
@@ -27,7 +28,9 @@ REPORT, PICTURES = "report.html", "pictures"
 
 
 def write_campaign_report(result: CampaignResult, more: tuple[Section, ...] = (), *, pictures: bool = False) -> Path:
-    """Write ``report.html`` into a campaign's folder: one HTML file, in place of an earlier one (docs/campaigns.md).
+    """Write ``report.html`` into a campaign's folder: one HTML file, in place of an earlier report (docs/campaigns.md).
+
+    Other files of that name are kept, as are pictures that hexservo did not write or that were changed since.
 
     Parameters
     ----------
@@ -50,10 +53,15 @@ def write_campaign_report(result: CampaignResult, more: tuple[Section, ...] = ()
     ResultError
         A chunk is damaged.
     OutputError
-        The file cannot be written.
+        There is such a file that is no report, or the folder ``pictures`` holds other files; both are kept. Or they
+        cannot be written.
     """
     if not isinstance(result, CampaignResult):
         raise wrong_type("result", "a CampaignResult (see hs.campaign)", result)
+    path, folder = result.folder / REPORT, result.folder / PICTURES
+    require_own(path, lambda content: content.startswith(f"{TITLE}\n".encode()))
+    if pictures:
+        check_folder(folder, force=True)
     sections = [*campaign_sections(result), *more]
     verdict, *others = sections
     plan = result.plan
@@ -68,16 +76,16 @@ def write_campaign_report(result: CampaignResult, more: tuple[Section, ...] = ()
         ("pages", "Explanations", explanations(sections)),
     ]
     name = f"Campaign on {plan.scenario.name}"
-    path = result.folder / REPORT
     write_text(path, assembled(name, result.section().sentences[0], parts, plotly_script()))
     if pictures:
-        _write_pictures(result.folder / PICTURES, sections)
+        _write_pictures(folder, sections)
     return path
 
 
 def _write_pictures(folder: Path, sections: Sequence[Section]) -> None:
     """Write the pictures of sections into a folder; the same picture gives the same bytes."""
     names: Counter[str] = Counter()
+    images: dict[str, bytes] = {}
     for section in sections:
         for item in section.items:
             if isinstance(item, Table):
@@ -87,8 +95,11 @@ def _write_pictures(folder: Path, sections: Sequence[Section]) -> None:
             if names[name] > 1:  # as of two bounds of one metric
                 name = f"{name}-{names[name]}"
             figure = item_figure(item)
-            for kind in ("svg", "png"):
-                write_bytes(folder / f"{name}.{kind}", image_bytes(figure, kind))
+            images |= {f"{name}.{kind}": image_bytes(figure, kind) for kind in ("svg", "png")}
+    for name, content in images.items():  # all at once: an interruption seldom leaves some without the marker
+        write_bytes(folder / name, content)
+    if images:
+        mark_folder("the pictures of a campaign", folder)
 
 
 def _content(section: Section) -> Html:
@@ -111,6 +122,6 @@ def _versions(result: CampaignResult) -> Html:
         ("hexservo", summary["hexservo"]),
         ("compiled variant", summary["variant"]),
         ("campaign", summary["campaign"]),
-        ("folder", os.fspath(result.folder)),
+        ("folder", named(result.folder)),
     ]
     return element("div", table_html(Table("What ran", (Column("part"), Column("value")), rows)))

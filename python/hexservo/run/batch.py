@@ -21,7 +21,13 @@ from hexservo.run.metrics import METRICS, asked_metrics, metric_unit
 from hexservo.run.progress import ProgressCallback, progress_bar
 from hexservo.run.result import TERMS, WRENCH, leg_words, quantities
 from hexservo.run.variant import chosen_kernel
-from hexservo.run.variations import changes_of_run, checked_variations, columns_of, fitted_variations
+from hexservo.run.variations import (
+    changes_of_run,
+    checked_variations,
+    columns_of,
+    fitted_variations,
+    unit_of_varied,
+)
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.leg_units import unit_of
 from hexservo.scenario.parameters import core_parameters
@@ -102,7 +108,7 @@ class BatchResult:
 
         Columns: varied keys by their dotted names, entries of arrays as ``controller.hybrid.kv[0]``; ``outcome``,
         ``cause``, ``limit_leg``, ``end_time``, ``stop_time``; metrics by their names in `hs.METRICS`. The index is the
-        scenario. ``attrs["units"]`` maps times and metrics to their units.
+        scenario. ``attrs["units"]`` maps what varies, times and metrics to their units.
         """
         import pandas as pd
 
@@ -111,7 +117,8 @@ class BatchResult:
             columns |= columns_of(key, np.broadcast_to(values, (len(self), *values.shape[1:])))
         columns |= {name: getattr(self, name) for name in ("outcome", "cause", "limit_leg", "end_time", "stop_time")}
         table = pd.DataFrame({**columns, **self.metrics}, index=pd.RangeIndex(len(self), name="scenario"))
-        units = {name: metric_unit(name, self.scenario.robot) for name in self.metrics}
+        units = {name: unit for name in columns if (unit := unit_of_varied(self.scenario, name))}
+        units |= {name: metric_unit(name, self.scenario.robot) for name in self.metrics}
         table.attrs = {
             "scenario": self.scenario.name,
             "controller": self._acting,
@@ -146,7 +153,12 @@ class BatchResult:
         for key, values in self.variations.items():
             whole = np.broadcast_to(values, (len(self), *values.shape[1:]))
             axes = [f"{key}_{axis}" for axis in range(1, values.ndim)]
-            data[key] = (["scenario", *axes], whole, {"long_name": f"varied {key}"})
+            unit = unit_of_varied(self.scenario, key)
+            data[key] = (
+                ["scenario", *axes],
+                whole,
+                {"long_name": f"varied {key}"} | ({"units": unit} if unit else {}),
+            )
         coords: dict[str, Any] = {"scenario": np.arange(len(self))}
         middle = [] if self.time is None else ["time"]
         if self.time is not None:

@@ -95,6 +95,7 @@ def run_with(scenario: Scenario, controller: OwnController) -> _core.Trajectory:
 def function_name(function: object) -> str:
     """Return the name under which results keep a custom controller: never that of a law."""
     name = str(getattr(function, "__qualname__", type(function).__qualname__))
+    name = name if name.isprintable() else ascii(name)[1:-1]  # a file holds neither NUL nor half of a surrogate pair
     return f"{name}()" if name in ALL_LAWS else name
 
 

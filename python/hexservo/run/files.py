@@ -86,7 +86,7 @@ def write_folder(
             path.parent.mkdir(parents=True, exist_ok=True)
             with draft_beside(place) as draft:
                 fill(draft)
-                _write_marker(contents, draft)
+                mark_folder(contents, draft)
                 for file in draft.iterdir():
                     synchronize(file)
                 synchronize(draft)
@@ -159,12 +159,14 @@ def _refuse_unwritable(path: Path, error: OSError | ValueError, place: str = "fo
 # ---- The marker -----------------------------------------------------------------------------------------------------
 
 
-def _write_marker(contents: str, folder: Path) -> None:
+def mark_folder(contents: str, folder: Path) -> None:
+    """Write `MARKER` into a folder that holds results alone; `contents` is what they are."""
+    files = sorted(path for path in folder.iterdir() if path.name != MARKER)
     lines = [
         _TITLE,
         f"# The files of {contents}, written by hexservo {VERSION}.",
         "# hexservo with --force may replace this folder while it holds only these files, unchanged.",
-        *(f"{_digest(path)}  {path.name}" for path in sorted(folder.iterdir())),
+        *(f"{_digest(path)}  {path.name}" for path in files),
     ]
     (folder / MARKER).write_text("\n".join(lines) + "\n", encoding="utf-8")
 

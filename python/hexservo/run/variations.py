@@ -21,12 +21,16 @@ from hexservo.scenario.fitted import (
 )
 from hexservo.scenario.keys import MAX_WHOLE_FLOAT, NumericKey, numeric_keys, sampled_keys, without_effect
 from hexservo.scenario.laws import ALL_LAWS
+from hexservo.scenario.leg_units import unit_of, unit_of_entry
+from hexservo.scenario.parameters import units_of_keys
 from hexservo.scenario.rules import did_you_mean
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import wrong_type
 from hexservo.scenario.yaml import ScenarioError
 
 __all__ = []
+
+_AUTO_UNITS = {"auto.bandwidth": "Hz", "auto.damping": "1"}  # within the block of a law; the core has no such keys
 
 
 def checked_variations(scenario: Scenario, variations: Mapping[str, ArrayLike]) -> dict[str, NDArray[Any]]:
@@ -181,6 +185,16 @@ def columns_of(key: str, values: NDArray[Any]) -> dict[str, NDArray[Any]]:
 def changes_of_run(arrays: Mapping[str, NDArray[Any]], law: str, index: int = 0) -> dict[str, Any]:
     """Return the changes of one run, by dotted key, from the rows of all; keys with one row have it for every run."""
     return {key: plain_row(known_key(key, law), values[index % len(values)]) for key, values in arrays.items()}
+
+
+def unit_of_varied(scenario: Scenario, name: str) -> str:
+    """Return the unit of a key that may vary, or of an entry of it as ``controller.hybrid.kv[0]``; "" without one."""
+    key, _, entry = name.partition("[")
+    law = scenario.controller.law
+    unit = units_of_keys(law).get(key) or _AUTO_UNITS.get(key.removeprefix(f"controller.{law}."), "")
+    if entry:
+        unit = unit_of_entry(unit, int(entry.partition("]")[0]))
+    return unit_of(scenario.robot, key, unit)
 
 
 def plain_row(rule: NumericKey, row: NDArray[Any]) -> Any:

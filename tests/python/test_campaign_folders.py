@@ -1,0 +1,246 @@
+"""Folders of campaigns: what is refused, what is kept, and what a result reads from them."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import hexservo as hs
+from hexservo.campaigns import store
+from hexservo.campaigns.plan import CampaignPlan
+from hexservo.campaigns.store import plan_text, read_plan
+from hexservo.run.publish import OutputError
+from test_campaign_engine import FILE
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The campaign of the engine's tests, complete."""
+    folder = tmp_path_factory.mktemp("whole") / "out"
+    assert hs.campaign(FILE, folder).complete
+    return folder
+
+
+# ---- Folders --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "differs"),
+    [
+        ({"stream": 1}, "stream"),
+        ({"require": ["final_error <= 3"]}, "require"),
+        ({"confidence": 0.9}, "confidence"),
+        ({"chunk_size": 50}, "chunk_size"),
+        ({"vary": {"seed": "each"}}, "vary"),
+    ],
+)
+def test_a_folder_of_a_different_campaign_is_refused(whole: Path, change: dict[str, Any], differs: str) -> None:
+    before = {path: path.read_bytes() for path in whole.rglob("*") if path.is_file()}
+    with pytest.raises(OutputError, match=f"expected a folder of this campaign, got one that differs in .*{differs}"):
+        hs.campaign(FILE | change, whole)
+    assert {path: path.read_bytes() for path in whole.rglob("*") if path.is_file()} == before
+
+
+def test_folders_that_are_refused(whole: Path, tmp_path: Path) -> None:
+    (tmp_path / "letters").mkdir()
+    (tmp_path / "letters" / "letter.txt").write_text("Dear")
+    with pytest.raises(OutputError, match="expected a new folder or that of a campaign, got one with other files"):
+        hs.campaign(FILE, tmp_path / "letters")
+    with pytest.raises(OutputError, match=r'letter\.txt": expected a folder, got a file; name another place'):
+        hs.campaign(FILE, tmp_path / "letters" / "letter.txt")
+    with pytest.raises(hs.ResultError, match=r"expected the folder of a campaign, got one without campaign.yaml"):
+        hs.load_campaign(tmp_path / "letters")
+    with pytest.raises(OutputError, match="expected at least 1000 runs, got 999"):
+        hs.campaign(FILE, whole, runs=999)
+    shutil.copytree(whole, tmp_path / "old")
+    record = (tmp_path / "old" / "campaign.yaml").read_text(encoding="utf-8")
+    (tmp_path / "old" / "campaign.yaml").write_text(record.replace("format: 1", "format: 0"), encoding="utf-8")
+    with pytest.raises(hs.ResultError, match="expected a campaign of format 1"):
+        hs.load_campaign(tmp_path / "old")
+
+
+def test_a_folder_of_a_different_version_or_variant_is_refused(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(whole, tmp_path / "old")
+    plan, record = read_plan(whole)
+    other = next(name for name in ("baseline", "avx2") if name != record["variant"])
+    for changed, error, message in (
+        ("VERSION", OutputError, "differs in hexservo 9"),
+        ("variant", hs.VariantError, f"expected {other}, that of the campaign, got {record['variant']}"),
+    ):
+        with monkeypatch.context() as patch:
+            if changed == "VERSION":
+                patch.setattr(store, "VERSION", "9")
+            else:
+                patch.setattr(CampaignPlan, "required_variant", lambda plan: other)
+            text = plan_text(plan, store.new_record(plan))
+        (tmp_path / "old" / "campaign.yaml").write_text(text, encoding="utf-8")
+        with pytest.raises(error, match=message):
+            hs.campaign(FILE, tmp_path / "old")
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "sealed"),
+    [
+        ("stream: 0", "stream: 1", False),
+        ("final_error <= 1.5", "final_error <= 1.6", False),
+        ("confidence: 0.95", "confidence: 0.5", True),
+        ("fixed_runs: 1000", "fixed_runs: 500", True),
+    ],
+)
+def test_a_changed_campaign_file_is_refused(whole: Path, tmp_path: Path, before: str, after: str, sealed: bool) -> None:
+    text = (whole / "campaign.yaml").read_text(encoding="utf-8")
+    assert text.count(before) == 1
+    changed = [text.replace(before, after)]
+    if not sealed:  # the hash of the campaign, which has it too, is in folders of earlier versions
+        changed.append(re.sub(r"(?m)^ *sha256: .*\n", "", changed[0]))
+        assert len(changed[0]) > len(changed[1])
+    for one in changed:
+        (tmp_path / "campaign.yaml").write_text(one, encoding="utf-8")
+        for use in (hs.load_campaign, lambda folder: hs.campaign(FILE, folder)):
+            with pytest.raises(hs.ResultError, match="expected the file as hexservo wrote it, got one"):
+                use(tmp_path)
+    (tmp_path / "campaign.yaml").write_text(f"# by Ann\n{text}", encoding="utf-8")
+    assert len(hs.load_campaign(tmp_path)) == 0, "a comment changes nothing"
+
+
+def test_only_drafts_of_a_campaign_are_removed(tmp_path: Path) -> None:
+    """A user's hidden files stay, and a folder that holds them is no empty one."""
+    out = tmp_path / "out"
+    (out / ".hexservo-x-0123456789ab.part").mkdir(parents=True)
+    names = [".notes.part", "letter.part", ".letter.txt-0123456789ab.part"]
+    for name in names:
+        (out / name).write_text("Dear")
+    with pytest.raises(OutputError, match="expected a new folder or that of a campaign, got one with other files"):
+        hs.campaign(FILE, out, runs=10)
+    theirs = set(out.iterdir())
+    shutil.copytree(out, tmp_path / "theirs")
+    for path in theirs:
+        path.rmdir() if path.is_dir() else path.unlink()
+    (out / ".hexservo-campaign.yaml-0123456789ab.part").write_text("of a killed process")
+    hs.campaign(FILE, out, runs=10)
+    assert all(path.suffix != ".part" for path in out.iterdir())
+    shutil.copytree(tmp_path / "theirs", out, dirs_exist_ok=True)
+    hs.campaign(FILE, out, runs=10)
+    assert theirs < set(out.iterdir())
+
+
+def test_only_one_process_writes(tmp_path: Path) -> None:
+    def second(done: int, count: int) -> None:
+        with pytest.raises(OutputError, match="expected a folder in which no other process writes"):
+            hs.campaign(FILE, tmp_path / "out")
+
+    assert hs.campaign(FILE, tmp_path / "out", runs=100, progress=second).complete
+
+
+def test_a_worst_run_that_a_user_changed_is_kept(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    hs.campaign(FILE, out, runs=50)
+    first = (out / "worst-run.yaml").read_text(encoding="utf-8")
+    hs.campaign(FILE, out, runs=200)
+    larger = (out / "worst-run.yaml").read_text(encoding="utf-8")
+    assert larger != first, "an unchanged file is replaced"
+    warnings: list[str] = []
+    for theirs in ("My notes", larger.replace("name: ", "name: my-")):
+        (out / "worst-run.yaml").write_text(theirs, encoding="utf-8")
+        assert hs.campaign(FILE, out, runs=200, warn=warnings.append).complete
+        assert (out / "worst-run.yaml").read_text(encoding="utf-8") == theirs
+    assert len(warnings) == 2
+    assert 'worst-run.yaml": expected a file as hexservo wrote it, got a different one, which is kept' in warnings[0]
+    plain = larger.partition("\n")[2]  # as earlier versions wrote it
+    (out / "worst-run.yaml").write_text(plain, encoding="utf-8")
+    hs.campaign(FILE, out, runs=200)
+    assert (out / "worst-run.yaml").read_text(encoding="utf-8") == larger
+
+
+def test_a_worst_case_that_a_user_changed_is_kept(whole: Path, tmp_path: Path) -> None:
+    shutil.copytree(whole, tmp_path / "out")
+    result = hs.load_campaign(tmp_path / "out")
+    case = tmp_path / "out" / "worst-case.yaml"
+    case.write_text("My notes", encoding="utf-8")
+    with pytest.raises(OutputError, match="expected a file as hexservo wrote it, got a different one, which is kept"):
+        hs.worst_case(result, runs=10, restarts=1)
+    assert case.read_text(encoding="utf-8") == "My notes"
+    case.unlink()
+    found = hs.worst_case(result, runs=10, restarts=1)
+    assert hs.worst_case(result, runs=20, restarts=1).scenario == hs.load_scenario(found.path)
+
+
+def test_a_page_and_pictures_of_a_user_are_kept(tmp_path: Path) -> None:
+    result = hs.campaign(FILE, tmp_path / "out", runs=20)
+    page, pictures = result.folder / "report.html", result.folder / "pictures"
+    page.write_text("<!doctype html>My notes", encoding="utf-8")
+    with pytest.raises(OutputError, match=r'report\.html": expected a file as hexservo wrote it, got a different one'):
+        hs.write_campaign_report(result)
+    assert page.read_text(encoding="utf-8") == "<!doctype html>My notes"
+    page.unlink()
+    pictures.mkdir()
+    (pictures / "interval-failure-probability.svg").write_text("mine", encoding="utf-8")
+    with pytest.raises(OutputError, match="the folder holds files that are not results of hexservo"):
+        hs.write_campaign_report(result, pictures=True)
+    assert [path.read_text(encoding="utf-8") for path in pictures.iterdir()] == ["mine"]
+    shutil.rmtree(pictures)
+    hs.write_campaign_report(result, pictures=True)
+    (pictures / "interval-failure-probability.svg").write_text("mine", encoding="utf-8")
+    with pytest.raises(OutputError, match=r"interval-failure-probability.svg \(changed since\); move them away"):
+        hs.write_campaign_report(result, pictures=True)
+
+
+def test_a_folder_whose_name_is_no_text_has_a_page(tmp_path: Path) -> None:
+    folder = tmp_path / os.fsdecode(b"out-\xff")
+    result = hs.campaign(FILE, folder, runs=10)
+    page = hs.write_campaign_report(result).read_text(encoding="utf-8")
+    assert r"out-\udcff" in page
+    repr(hs.load_campaign(folder)).encode()
+
+
+# ---- Results --------------------------------------------------------------------------------------------------------
+
+
+campaign: Any = hs.campaign  # called with arguments of other types
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "message"),
+    [
+        (lambda result: result.to_dataframe(["nope"]), ValueError, 'columns: expected names of index, .*, got "nope"$'),
+        (lambda result: result.to_arrow(["margn"]), ValueError, 'got "margn"; did you mean "margin"?'),
+        (
+            lambda result: result.to_dataframe("margin"),
+            TypeError,
+            "columns: expected names of columns, or None, got str",
+        ),
+        (lambda result: result.to_dataframe([1]), TypeError, "columns: expected names of columns, or None, got int"),
+        (lambda result: result.worst(-1), ValueError, "count: expected an integer of at least 0, got -1"),
+        (lambda result: result.worst("x"), TypeError, "count: expected an integer, got str"),
+        (lambda result: result.scenario(1.5), TypeError, "index: expected an integer, got float"),
+        (lambda result: result.scenario(-1), IndexError, "index: expected one from 0 to 999, got -1"),
+        (lambda result: campaign(FILE, result.folder, engine=5), TypeError, "engine: expected one of local, .* int"),
+        (
+            lambda result: campaign(FILE, result.folder, warn=5),
+            TypeError,
+            "warn: expected a function .*, got int",
+        ),
+    ],
+)
+def test_arguments_that_are_refused(whole: Path, call: Any, error: type[Exception], message: str) -> None:
+    with pytest.raises(error, match=message):
+        call(hs.load_campaign(whole))
+
+
+def test_a_result_keeps_its_runs_when_its_folder_grows(tmp_path: Path) -> None:
+    result = hs.campaign(FILE, tmp_path / "out", runs=50)
+    margins = result.margin().tolist()
+    assert hs.campaign(FILE, tmp_path / "out", runs=60).margin().tolist()[:50] == margins
+    assert len(result.to_dataframe()) == len(result) == 50
+    assert result.margin().tolist() == margins
+    shutil.rmtree(tmp_path / "out")
+    hs.campaign(FILE | {"stream": 1}, tmp_path / "out", runs=50)
+    with pytest.raises(hs.ResultError, match="expected the campaign of this result, got a different one"):
+        result.margin()
