@@ -288,3 +288,20 @@ def test_keys_that_are_noted_change_no_run(paper: hs.Scenario, base: dict[str, A
     assert sorted(key for sentence in noted for key in sentence.partition(":")[0].split(", ")) == sorted(idle)
     assert all("no effect here; " in sentence for sentence in noted)
     assert fingerprint(changed) == fingerprint(scenario)
+
+
+def test_switching_axis_by_axis_is_noted_where_the_inertia_couples_the_axes(paper: hs.Scenario) -> None:
+    """v+ = (1 - D^-1 diag D) v; of principal moments 1:r that are turned by 45 degrees the factor is (r - 1)/2."""
+    start = "controller.switching.kind: implicit stops axis by axis"
+    coupled = hs.load_scenario("rubin-camera-hexapod")
+    axiswise = coupled.updated({"controller.switching.kind": "implicit"})
+    (sentence,) = (words for words in unlikely(axiswise) if words.startswith(start))
+    assert "changes by 5.4" in sentence
+    assert not any(words.startswith(start) for words in unlikely(coupled))
+    assert not any(words.startswith(start) for words in unlikely(axiswise.updated({"controller.composite.kv": 0.0})))
+    sampled = paper.updated({"simulation.mode": "sampled", "controller.switching.kind": "implicit"})
+    for ratio, noted in ((2.5, False), (3.5, True)):
+        mean, product = 0.5e-4 * (ratio + 1.0), 0.5e-4 * (ratio - 1.0)
+        inertia = [[mean, 0.0, product], [0.0, 2.0 * mean, 0.0], [product, 0.0, mean]]
+        tilted = sampled.updated({"robot.inertia": inertia})
+        assert any(words.startswith(start) for words in unlikely(tilted)) == noted

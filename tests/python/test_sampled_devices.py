@@ -371,3 +371,22 @@ def test_a_feature_that_leaves_the_image_is_held_or_predicted_or_ends_the_run(pa
     )
     assert predicted["settling_time"] == pytest.approx(whole["settling_time"], rel=0.03)
     assert predicted["final_error"] == pytest.approx(whole["final_error"], abs=0.02)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        name
+        for name in hs.scenario_names()
+        if hs.load_scenario(name).simulation.mode == "sampled" and hs.load_scenario(name).actuators.kind == "force"
+    ],
+)
+def test_without_an_image_every_packaged_machine_that_takes_forces_stays_where_it_starts(name: str) -> None:
+    """The brake holds it against errors of its weight, and encoders' steps do not excite it."""
+    short = {"simulation.duration": 0.5, "simulation.log_every": 1, "metrics.rms_start": 0.0, "metrics.dwell": 0.1}
+    scenario = hs.load_scenario(name).updated({"camera.dropout": 1.0, **short})
+    run = hs.simulate(scenario)
+    assert run.outcome == "completed", run.detail
+    late = run.time > 0.25
+    assert np.abs(run.twist[late]).max() < 5e-3, np.abs(run.twist[late]).max(axis=0)
+    assert np.abs(run.position - run.position[0]).max() < 1e-3

@@ -125,7 +125,7 @@ def _scenario_text(dialogue: Dialogue, name: str) -> str:
         "target": target,
         "controller": {
             "law": GENERAL_LAW,
-            "switching": {"kind": "implicit"},
+            "switching": {"kind": "implicit_coupled"},  # whatever the inertia couples
             GENERAL_LAW: {"auto": {"bandwidth": bandwidth}},
         },
         "sensors": {"pose": "encoders", "resolution": 1e-4 if "cranks" in robot else 1e-6},
