@@ -71,7 +71,7 @@ def project(scenario: Scenario, pose: ArrayLike) -> Array:
     Returns
     -------
     Array
-        (..., 8) pixels of the points [px], as the camera counts them: by (4) of docs/model.md, through the lens if it
+        (..., 2p) pixels of p points [px], as the camera counts them: by (4) of docs/model.md, through the lens if it
         has one; NaN where a point is not in front of the camera, or the lens does not show it.
 
     Raises

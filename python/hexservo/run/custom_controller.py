@@ -31,9 +31,11 @@ class Observation(NamedTuple):
     exposure: float
     """Time at which the newest frame was taken [s]; NaN before the first one has arrived."""
     features: Array
-    """(2p,), as the newest frame or the prediction has them [px]; NaN until every point has been seen once."""
+    """(2p,) of p points, from the newest frame or the prediction: (x, y) of each from the principal point, y up, as the
+    pinhole of the controller's camera has them, lens and axes taken out [px]; NaN until every point has been seen
+    once."""
     depth: Array
-    """(p,), estimates of Z, negative in front of the camera [m]; NaN as the features."""
+    """(p,), estimates of Z in the camera's frame C, negative in front of the camera [m]; NaN as the features."""
     position: Array
     """(3,), of E's origin in B, by the joint sensors [m]."""
     quaternion: Array

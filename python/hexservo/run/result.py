@@ -74,7 +74,7 @@ def quantities(points: int) -> dict[str, Quantity]:
     features = [f"{axis}{number}" for number in numbers for axis in "xy"]
     return {
         "feature_error": ("feature", features, "px", "desired minus true feature coordinates"),
-        "depth": ("point", list(numbers), "m", "true Z of the points in the camera frame E, negative in front"),
+        "depth": ("point", list(numbers), "m", "true Z of the points in the camera's frame C, negative in front"),
         **_OF_PLATFORM,
     }
 
@@ -128,7 +128,7 @@ class Result:
     events: tuple[LimitEvent, ...]  # exceeded limits, by time
     time: Array  # (n,) [s]
     feature_error: Array  # (n, 2p) [px] of p points, desired minus true (x1, y1, ..., xp, yp)
-    depth: Array  # (n, p) [m], true Z of the points in E, negative in front of the camera
+    depth: Array  # (n, p) [m], true Z of the points in the camera's frame C, negative in front of the camera
     position: Array  # (n, 3) [m], in B
     quaternion: Array  # (n, 4) w x y z
     twist: Array  # (n, 6) [m/s, rad/s], in B
