@@ -23,6 +23,7 @@ from hexservo.run.result import TERMS, WRENCH, leg_words, quantities
 from hexservo.run.variant import chosen_kernel
 from hexservo.run.variations import checked_variations, columns_of, fitted_variations, known_key, plain_row
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.fields import described
 from hexservo.scenario.leg_units import unit_of
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario, require_scenario
@@ -50,6 +51,7 @@ _CAUSES = np.array([cause.name for cause in sorted(_core.StopCause, key=lambda c
 _MAX_THREADS = 1024
 
 
+@described
 @dataclass(frozen=True, eq=False, repr=False)
 class BatchResult:
     """Results of n scenarios, in the order of their variations. Axis 0 of every array is the scenario.

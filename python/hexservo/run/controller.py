@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from hexservo import _core
 from hexservo.scenario.arrays import Array, real_numbers
+from hexservo.scenario.fields import described
 from hexservo.scenario.parameters import Settings, core_parameters
 from hexservo.scenario.scenario import Scenario, require_scenario
 from hexservo.scenario.wording import wrong_type
@@ -18,6 +19,7 @@ __all__ = ["Controller", "ControllerOutput"]
 InputStatus: TypeAlias = Literal["valid", "unusable", "missing_image", "stale_image", "lost_feature"]
 
 
+@described
 class ControllerOutput(NamedTuple):
     """Output of a tick; vectors are in the base frame B (docs/model.md, section 7)."""
 

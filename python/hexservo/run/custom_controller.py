@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from hexservo import _core
 from hexservo.scenario.arrays import Array, real_numbers
+from hexservo.scenario.fields import described
 from hexservo.scenario.laws import ALL_LAWS
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario
@@ -18,6 +19,7 @@ from hexservo.scenario.scenario import Scenario
 __all__ = ["LegForces", "Observation", "OwnController", "function_name", "run_with"]
 
 
+@described
 class Observation(NamedTuple):
     """Input of a controller at a servo tick: measurements, never the plant's true values.
 
@@ -44,17 +46,12 @@ class Observation(NamedTuple):
     """(6,), (velocity; angular velocity) in B, by the joint sensors [m/s; rad/s]."""
 
 
+@described
 @dataclass(frozen=True, eq=False)
 class LegForces:
-    """Output of a controller that commands the legs individually.
+    """Output of a controller that commands the legs individually."""
 
-    Parameters
-    ----------
-    forces
-        (6,), positive where they push the platform away from the base [N].
-    """
-
-    forces: ArrayLike
+    forces: ArrayLike  # (6,), positive where they push the platform away from the base [N]
 
 
 OwnController: TypeAlias = Callable[[Observation], "ArrayLike | LegForces"]
