@@ -113,7 +113,7 @@ def test_the_page_that_explains_is_named_where_it_is_installed(monkeypatch: pyte
     assert installed.read_text(encoding="utf-8").startswith("# ")
     monkeypatch.chdir(installed.parents[1])
     assert "Explained in docs/model.md" in invoke("analyse", "paper")[1].splitlines()
-    assert page_path("docs/no_such_page.md") is None
+    assert page_path("docs/" + "missing.md") is None
 
 
 @pytest.mark.parametrize("command", ["diagnose", "certify", "analyse"])

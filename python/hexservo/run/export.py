@@ -38,7 +38,7 @@ C_NAMES = frozenset(
     scenario_get_text scenario_key scenario_key_count scenario_message scenario_points scenario_set_number
     scenario_set_numbers scenario_set_text scenario_validate scene state state_create state_destroy state_memory
     state_place state_size status tick type version
-    """.split()  # noqa: SIM905: one name a line would be 66 lines
+    """.split()  # noqa: SIM905
 )
 """Names of hexservo.h without ``hexservo_``: a namespace of such a name would not compile beside that header."""
 
