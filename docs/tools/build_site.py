@@ -27,6 +27,7 @@ from urllib.parse import unquote, urlsplit
 import hexservo as hs
 from gallery import gallery
 from hexservo.report.explorer import ExplorerError, checked_page
+from hexservo.scenario.fields import field_names
 
 ROOT = Path(__file__).resolve().parents[2]
 PARTS = ROOT / "docs" / "site"
@@ -188,10 +189,11 @@ def api_body(name: str, thing: Any) -> str:
         directive = [f".. autoexception:: hexservo.{name}", "   :members:", "   :show-inheritance:"]
     elif inspect.isclass(thing):
         directive = [f".. autoclass:: hexservo.{name}", "   :members:"]
+        apart = list(field_names(thing))  # in a table
         if hasattr(thing, "model_fields"):  # the keys of a scenario have a separate page
-            directive.append(
-                f"   :exclude-members: {', '.join(['model_config', 'model_post_init', *thing.model_fields])}"
-            )
+            apart = ["model_config", "model_post_init", *thing.model_fields]
+        if apart:
+            directive.append(f"   :exclude-members: {', '.join(apart)}")
     else:
         directive = [f".. autofunction:: hexservo.{name}"]
     return "```{eval-rst}\n" + "\n".join(directive) + "\n```\n"

@@ -86,7 +86,8 @@ def arrows(root: Path = SOURCES) -> list[tuple[str, str]]:
 # ---- The picture ----------------------------------------------------------------------------------------------------
 
 _WIDTH, _HEIGHT, _GAP = 400, 46, 30  # of a box and between boxes [px]
-_LEFT, _TOP, _CURVE = 170, 16, 34  # the column of boxes, and how far an arrow bows per package that it skips
+_TOP, _CURVE = 16, 34  # above the column of boxes, and how far an arrow bows per package that it skips
+_LEFT = 3 * _CURVE * (len(PACKAGES) - 1) // 4 + 12  # of the column: a curve goes 3/4 of the way to its control points
 
 
 def picture(root: Path = SOURCES) -> str:
@@ -130,7 +131,7 @@ def _arrow(start: int, end: int) -> str:
         side = 1 if skipped % 2 else -1
         x = _LEFT + (_WIDTH if side > 0 else 0)
         bow = x + side * _CURVE * (skipped + 1)
-        first, last = from_y + _HEIGHT // 2 + 4 * skipped, to_y + _HEIGHT // 2 - 4 * skipped
+        first, last = from_y + _HEIGHT // 2 + 3 * skipped, to_y + _HEIGHT // 2 - 3 * skipped
         way = f"M{x},{first} C{bow},{first} {bow},{last} {x},{last}"
     return f'<path d="{way}" fill="none" stroke="#0072B2" stroke-width="1.3" marker-end="url(#head)"/>'
 

@@ -1,4 +1,4 @@
-"""What Sphinx lacks for the site: pages of source files, and the fields of data classes with their units.
+"""What Sphinx lacks for the site: pages of source files, and the fields of classes with their units in a table.
 
 A link to ``source:cpp/include/hexservo/camera.hpp`` (docs/tools/build_site.py writes them) leads to a page that has
 the file.
@@ -6,9 +6,7 @@ the file.
 
 from __future__ import annotations
 
-import dataclasses
 import html
-import inspect
 import posixpath
 import re
 from pathlib import Path
@@ -20,6 +18,8 @@ from pygments.formatters import HtmlFormatter
 from pygments.lexers import TextLexer, get_lexer_for_filename
 from pygments.util import ClassNotFound
 from sphinx.application import Sphinx
+
+from hexservo.scenario.fields import field_names, fields_of
 
 ROOT = Path(__file__).resolve().parents[2]
 SCHEME = "source:"
@@ -71,34 +71,19 @@ def point_to_sources(app: Sphinx, tree: nodes.document, page: str) -> None:
         link["internal"] = True
 
 
-def fields_of(kind: type) -> list[tuple[str, str, str]]:
-    """Return the fields of a data class in order: name, type, and the comment beside or above it, or its docstring."""
-    lines = inspect.getsource(kind).splitlines()
-    found = []
-    names = {field.name: field for field in dataclasses.fields(kind)}
-    for number, line in enumerate(lines):
-        field = re.match(r"    (\w+): ([^#=]+?)\s*(?:=[^#]*)?(?:#\s*(.*))?$", line)
-        if not field or field[1] not in names:
-            continue
-        comment = [field[3]] if field[3] else []
-        above = number - 1
-        while above >= 0 and re.match(r"    # ", lines[above]):
-            comment.insert(0, lines[above].strip("# "))
-            above -= 1
-        below = number + 1
-        if not comment and below < len(lines) and (text := re.match(r'    """(.*?)"""', lines[below])):
-            comment = [text[1]]
-        found.append((field[1], field[2].strip(), " ".join(comment)))
-    return found
-
-
 def own_fields(kind: Any) -> list[tuple[str, str, str]]:
-    """Return the fields of a data class, and none of anything else."""
-    return fields_of(kind) if inspect.isclass(kind) and dataclasses.is_dataclass(kind) else []
+    """Return the fields of a data class or a named tuple, and none of anything else."""
+    return fields_of(kind) if field_names(kind) else []
+
+
+def leave_fields_out(app: Sphinx, what: str, name: str, kind: Any, options: Any, lines: list[str]) -> None:
+    """Cut the section of the fields off: the site has them in a table."""
+    if own_fields(kind) and "Attributes" in lines:
+        del lines[lines.index("Attributes") :]
 
 
 def edit_docstring(app: Sphinx, what: str, name: str, kind: Any, options: Any, lines: list[str]) -> None:
-    """Link the pages that a docstring names, and append the fields of a data class as a table."""
+    """Link the pages that a docstring names, and append the fields of a class as a table."""
     lines[:] = [re.sub(r"(?<![`/\w])docs/([\w/-]+)\.md", page_link, line) for line in lines]
     fields = own_fields(kind) if what in ("class", "exception") else []
     if fields:
@@ -116,13 +101,14 @@ def page_link(name: re.Match[str]) -> str:
 def drop_signature(
     app: Sphinx, what: str, name: str, kind: Any, options: Any, signature: str | None, returned: str | None
 ) -> tuple[str, str] | None:
-    """Leave the signature of a data class out: users read its fields, which are in the table, and do not make one."""
+    """Leave the signature of a class with fields out: users read them, from the table, and make no such object."""
     return ("", "") if own_fields(kind) else None
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
     """Connect the parts to Sphinx."""
     app.connect("doctree-resolved", point_to_sources)
+    app.connect("autodoc-process-docstring", leave_fields_out, priority=400)  # before Napoleon
     app.connect("autodoc-process-docstring", edit_docstring, priority=600)  # after Napoleon
     app.connect("autodoc-process-signature", drop_signature)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}

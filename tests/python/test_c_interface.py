@@ -154,6 +154,8 @@ def test_misuse_is_refused_with_a_message_and_changes_nothing(library: ctypes.CD
         ("camera.nois", "1", "camera.nois: expected a key of a scenario with the law hybrid"),
         ("camera.noise", "a lot", 'camera.noise: expected numbers with spaces between, or none, got "a"'),
         ("camera.noise", "1 2 3", "camera.noise: expected 1 number, got 3"),
+        ("robot.gravity", "9.8", "robot.gravity: expected 3 numbers, got 1"),
+        ("robot.inertia", "1e-4", "robot.inertia: expected 3 or 9 numbers, got 1"),
         ("simulation.mode", "slow", "simulation.mode: expected one of continuous, sampled"),
         ("seed", "-1", "seed: expected a whole number from 0 to 2^64 - 1"),
         ("simulation.substeps", "1.5", "simulation.substeps: expected a whole number"),

@@ -5,10 +5,13 @@ from __future__ import annotations
 import math
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import cv2
 import numpy as np
 import pytest
+from matplotlib.font_manager import FontProperties
+from matplotlib.textpath import TextPath
 
 import hexservo as hs
 from camera_frames import PICTURE, picture
@@ -439,6 +442,20 @@ def test_the_command_takes_a_calibration(tmp_path: Path, plain_camera: hs.Scenar
 def test_the_picture_of_the_frames_is_up_to_date() -> None:
     """Its command writes the file that the page shows."""
     assert PICTURE.read_text(encoding="utf-8") == picture(), "type: python docs/tools/camera_frames.py"
+
+
+def test_the_words_of_the_picture_of_the_frames_are_within_it() -> None:
+    """With the widths of DejaVu Sans, which are those of a wide font."""
+    svg = ElementTree.fromstring(PICTURE.read_text(encoding="utf-8"))
+    texts = svg.findall(".//{*}text")
+    assert texts
+    for text in texts:
+        font = FontProperties(family="DejaVu Sans", weight=text.get("font-weight", "normal"))
+        wide = TextPath((0, 0), text.text or "", size=float(text.get("font-size", "14")), prop=font).get_extents().x1
+        left = float(text.get("x", "nan")) - (wide / 2 if text.get("text-anchor") == "middle" else 0.0)
+        left -= wide if text.get("text-anchor") == "end" else 0.0
+        assert left >= 0.0, text.text
+        assert left + wide <= float(svg.get("width", "nan")), text.text
 
 
 @pytest.mark.parametrize("lens", LENSES)

@@ -20,6 +20,7 @@ from hexservo.cli.output import write_results
 from hexservo.cli.print_sections import printed
 from hexservo.findings.evidence import Column, Curves, Line, Section, Table, as_data
 from hexservo.findings.sections import SOURCES
+from hexservo.report.documentation import page_path
 from hexservo.report.html import TITLE
 
 SHORT = ["--set", "simulation.duration=0.02"]
@@ -78,7 +79,10 @@ def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_sections_are_printed_in_words_and_tables(command: str) -> None:
+def test_sections_are_printed_in_words_and_tables(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     code, out, error = invoke(command, "paper", *SHORT)
     assert (code, error) == (0, "")
     judged = "Scenario" if command == "analyse" else "Result"
@@ -93,13 +97,45 @@ def test_sections_are_printed_in_words_and_tables(command: str) -> None:
         "[red]along x   -1.500  yes",
         "none                -  no",
         "A note.",
-        "Explained in docs/model.md",
+        f"Explained in {page_path('docs/model.md')}",
         "",
         "V over time: a figure, drawn in a notebook, and of a run by `hexservo report`",
         "",
         "Theme two: not applicable",
         "Does not apply.",
     ]
+
+
+def test_the_page_that_explains_is_named_where_it_is_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    installed = page_path("docs/model.md")
+    assert installed is not None
+    assert installed.is_absolute()
+    assert installed.read_text(encoding="utf-8").startswith("# ")
+    monkeypatch.chdir(installed.parents[1])
+    assert "Explained in docs/model.md" in invoke("analyse", "paper")[1].splitlines()
+    assert page_path("docs/" + "missing.md") is None
+
+
+@pytest.mark.parametrize("command", ["diagnose", "certify", "analyse"])
+@pytest.mark.parametrize("name", ["log.csv", "a log.mcap"])
+def test_a_log_without_its_machine_is_told_how_to_name_it(
+    command: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path(name).write_text("time,command_1\n", encoding="utf-8")
+    code, out, error = invoke(command, name)
+    assert (code, out) == (2, "")
+    quoted = name if " " not in name else f"'{name}'"
+    told = f"{name}: this is a log; name its machine: hexservo diagnose {quoted} --machine SCENARIO"
+    assert told in " ".join(error.split())
+    assert "this is a log" not in invoke(command, "none.csv")[2]
+
+
+@pytest.mark.parametrize("command", [*COMMANDS, "report"])
+def test_help_lists_what_a_command_reads(command: str) -> None:
+    shown = " ".join(word for word in invoke(command, "--help")[1].split() if word != "│")
+    assert '"-" for a scenario on standard input' in shown
+    assert ("a log (CSV or MCAP, with --machine)" in shown) == (command == "diagnose")
 
 
 @pytest.mark.parametrize("command", COMMANDS)

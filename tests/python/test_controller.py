@@ -422,3 +422,30 @@ def test_before_the_first_frame_the_image_is_missing(prediction: str) -> None:
     scenario = hs.load_scenario("composite-30hz").updated({"camera.prediction": prediction, "sensors.pose": "true"})
     joints: dict[str, Any] = {"position": [0.0, 0.0, -0.15], "quaternion": [1.0, 0.0, 0.0, 0.0], "twist": np.zeros(6)}
     assert hs.Controller(scenario).step(**joints, now=1.0).status == "missing_image"
+
+
+@pytest.mark.parametrize(
+    ("key", "wrong", "acts"),
+    [
+        ("focal_length", 0.1, True),
+        ("principal_point", [5.0, 5.0], True),
+        ("mount.position", [0.01, 0.0, 0.0], True),
+        ("mount.rotation", [0.0, 0.0, 0.1], True),
+        ("depth", 0.3, True),  # of the points of the goal, in a law that has a model of them
+        ("latency", 0.02, False),
+        ("inertia", 0.1, False),
+        ("coriolis", 0.1, False),
+        ("gravity", 0.1, False),
+    ],
+)
+def test_only_what_the_controller_assumes_wrongly_is_in_its_tick(key: str, wrong: Any, acts: bool) -> None:
+    """As the docstring of the class has it; a wrong latency only keeps the poses of more ticks."""
+    right = hs.load_scenario("real-machine").updated(
+        {"controller.law": "pbvs", f"uncertainty.{key}": np.zeros_like(wrong).tolist(), "sensors.pose": "true"}
+    )
+    controllers = hs.Controller(right), hs.Controller(right.updated({f"uncertainty.{key}": wrong}))
+    one, two = (controller.step(**good_input(right)) for controller in controllers)
+    assert one.status == two.status == "valid"
+    assert np.array_equal(one.wrench, two.wrench) != acts
+    kept = [len(controller.__getstate__()["state"]) for controller in controllers]
+    assert (kept[0] < kept[1]) == (key == "latency")

@@ -20,7 +20,7 @@ import hexservo as hs
 from hexservo import _core
 from hexservo.cli import commands as cli
 from hexservo.run import publish
-from hexservo.run.export import TITLE, gains_header, robot_notes
+from hexservo.run.export import C_NAMES, TITLE, gains_header, robot_notes
 from hexservo.run.files import write_file
 from hexservo.run.publish import OutputError
 from hexservo.scenario.parameters import core_parameters
@@ -199,11 +199,20 @@ def test_every_assignment_says_its_unit(paper: hs.Scenario, law: str) -> None:
         ("2nd", "hexservo_2nd"),
         ("double", "hexservo_double"),
         ("ü", "hexservo"),
+        ("gains", "hexservo_gains_scenario"),  # a struct of hexservo.h
+        ("run-rows", "hexservo_run_rows_scenario"),  # a function
+        ("scenario", "hexservo_scenario_scenario"),
+        ("gains-2", "hexservo_gains_2"),
     ],
 )
 def test_the_namespace_is_the_scenario_as_cpp_allows_it(paper: hs.Scenario, name: str, identifier: str) -> None:
     text = gains_header(paper.updated({"name": name}))
     assert f"\nnamespace {identifier} {{\n" in text
+
+
+def test_no_namespace_is_a_name_of_the_c_interface() -> None:
+    header = (ROOT / "cpp" / "include" / "hexservo.h").read_text(encoding="utf-8")
+    assert set(re.findall(r"\bhexservo_(\w+)", header)) == C_NAMES
 
 
 CASES = [("hybrid", False), *((law, law in ("hybrid", "pbvs")) for law in MEMBERS)]

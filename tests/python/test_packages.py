@@ -243,3 +243,12 @@ def test_ctrl_c_that_the_caller_ignores_stays_ignored() -> None:
 
 def test_the_picture_is_that_of_the_sources() -> None:
     assert PICTURE.read_text(encoding="utf-8") == picture(), "type: python docs/tools/packages.py"
+
+
+def test_the_arrows_are_within_the_picture() -> None:
+    """A cubic with its control points in one column goes 3/4 of the way to them."""
+    text = picture()
+    width = float(re.findall(r'viewBox="0 0 (\d+) ', text)[0])
+    bows = [(float(start), float(bow)) for start, bow in re.findall(r"M([-\d.]+),[-\d.]+ C([-\d.]+),", text)]
+    assert bows
+    assert all(0.0 < start + 0.75 * (bow - start) < width for start, bow in bows)

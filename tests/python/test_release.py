@@ -13,12 +13,14 @@ import shutil
 import subprocess
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import build_wheels
 import hexservo as hs
 import try_wheels
+from hexservo.scenario.yaml import load_yaml
 
 ROOT = Path(__file__).parents[2]
 INFO = "hexservo-9.9.9.dist-info"
@@ -129,6 +131,19 @@ def test_every_extra_is_tried_in_a_new_system_and_described_on_the_site() -> Non
     assert set(try_wheels.EXTRAS) == set(extras)
     described = (ROOT / "docs" / "site" / "install.md.in").read_text(encoding="utf-8")
     assert set(re.findall(r"^\| `pip install 'hexservo\[(\w+)\]'`", described, re.MULTILINE)) == set(extras)
+
+
+def test_citation_names_this_version_and_those_who_hold_the_licence() -> None:
+    citation: Any = load_yaml((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert citation["version"] == hs.__version__
+    assert f"*hexservo*, version {hs.__version__}." in (ROOT / "README.md").read_text(encoding="utf-8")
+    package = importlib.metadata.metadata("hexservo")
+    assert citation["license"] == package["License-Expression"]
+    (author,) = citation["authors"]
+    assert f"Copyright (c) 2026 {author['name']}" in (ROOT / "LICENSE").read_text(encoding="utf-8")
+    required = {"cff-version", "message", "title", "authors"}  # of the format, and of what is referred to the last two
+    assert required <= citation.keys()
+    assert all({"type", "title", "authors"} <= reference.keys() for reference in citation["references"])
 
 
 def test_commands_of_a_release_are_those_of_the_makefile() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import inspect
+import pydoc
 import re
 import shlex
 import subprocess
@@ -16,6 +16,7 @@ import build_site
 import gallery as gallery_module
 import hexservo as hs
 from gallery import Shown, gallery
+from hexservo.scenario.fields import field_names, fields_of
 from hexservo.scenario.yaml import load_yaml
 from test_docs import PAGES, ROOT, name_of
 from test_readme import examples, output_of
@@ -87,18 +88,24 @@ def test_reference_has_every_public_name() -> None:
     assert {f"api/{name}.md" for name in hs.__all__ if name != "__version__"} == set(pages) - {"api/index.md"}
 
 
-def test_arrays_of_public_data_classes_have_their_shapes() -> None:
-    extension = pytest.importorskip("site_extension", reason="make docs installs Sphinx", exc_type=ImportError)
-    missing = []
-    for name in hs.__all__:
-        kind = getattr(hs, name)
-        if inspect.isclass(kind) and dataclasses.is_dataclass(kind):
-            fields = extension.fields_of(kind)
-            assert [field for field, _, _ in fields] == [field.name for field in dataclasses.fields(kind)], name
-            missing += [
-                f"{name}.{f}" for f, annotation, comment in fields if annotation == "Array" and "(" not in comment
-            ]
-    assert not missing
+PUBLIC = {name: getattr(hs, name) for name in hs.__all__}
+WITH_FIELDS = {name: thing for name, thing in PUBLIC.items() if field_names(thing)}
+
+
+@pytest.mark.parametrize("name", WITH_FIELDS)
+def test_help_of_a_class_explains_its_fields(name: str) -> None:
+    """Each has its text, arrays have their shapes, and those of a named tuple have it as their docstring."""
+    kind = WITH_FIELDS[name]
+    shown = pydoc.plain(pydoc.render_doc(kind))
+    assert "Alias for field number" not in shown
+    fields = fields_of(kind)
+    assert tuple(field for field, _, _ in fields) == field_names(kind)
+    words = shown.replace("|", "").split()  # pydoc has a bar at the left
+    for field, annotation, text in fields:
+        assert text, field
+        assert annotation != "Array" or "(" in text, field
+        entry = f"{field} : {annotation} {text}".replace("|", "").split()
+        assert any(words[k : k + len(entry)] == entry for k in range(len(words))), field
 
 
 def test_every_page_of_the_repository_is_in_a_list() -> None:

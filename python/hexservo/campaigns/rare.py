@@ -18,6 +18,7 @@ from hexservo.campaigns.plan import CampaignPlan, load_plan
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Cell, Column, Section, Table
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.fields import described
 from hexservo.scenario.wording import number, whole_number
 
 _SHARE = 0.1  # of the samples of a level that begin the chains of the next one
@@ -48,13 +49,14 @@ class Levels:
         return self.kinds < _FEWEST_KINDS
 
 
+@described
 @dataclass(frozen=True, repr=False, eq=False)
 class RareFailures(Findings):
     """An estimate of a small failure probability. It is no bound, and replaces none."""
 
-    plan: CampaignPlan
-    levels: Levels
-    seed: int
+    plan: CampaignPlan  # whose failures are estimated
+    levels: Levels  # of the margin, from all draws to the failures
+    seed: int  # of the draws
 
     def headline(self) -> str:
         """Return a line that names the scenario."""

@@ -18,6 +18,7 @@ from hexservo.findings.display import Findings
 from hexservo.run.publish import named
 from hexservo.run.sealed import ResultError
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.fields import described
 from hexservo.scenario.rules import did_you_mean
 from hexservo.scenario.scenario import Scenario, load_scenario, scenario_names
 from hexservo.scenario.wording import quoted, whole_number, wrong_type
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from hexservo.findings.evidence import Section
 
 
+@described
 @dataclass(frozen=True)
 class WorstRun:
     """A run with a small margin, to be repeated."""
@@ -39,12 +41,13 @@ class WorstRun:
     scenario: Scenario  # of the run: `hs.simulate` repeats it, to rounding
 
 
+@described
 @dataclass(frozen=True, repr=False, eq=False)
 class CampaignResult(Findings):
     """A campaign's folder. Its runs are those of the chunks from the first one on without a gap."""
 
-    folder: Path
-    plan: CampaignPlan
+    folder: Path  # of its files
+    plan: CampaignPlan  # as the folder has it
     summary: dict[str, Any]  # as summary.json: docs/campaigns.md, section 4
     interrupted: bool = False  # Ctrl-C came before it was complete
 

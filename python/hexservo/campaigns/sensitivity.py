@@ -21,6 +21,7 @@ from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Bars, Cell, Column, Item, Section, Share, Table
 from hexservo.run.metrics import METRICS
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.fields import described
 from hexservo.scenario.wording import whole_number
 
 _SHOWN = 10  # inputs of a table
@@ -37,15 +38,16 @@ class Indices:
     total_interval: Array  # (d, 2)
 
 
+@described
 @dataclass(frozen=True, repr=False, eq=False)
 class Sensitivity(Findings):
     """Sobol indices of the margin and of the metrics that never are NaN. They bound no probability."""
 
-    plan: CampaignPlan
+    plan: CampaignPlan  # whose inputs vary
     inputs: tuple[str, ...]  # d numbers that vary: ``target.rotation[0]``; ``seed`` stands for all noise
     indices: Mapping[str, Indices]  # "margin" or a metric of `hs.METRICS` -> indices
-    runs: int
-    seed: int
+    runs: int  # that were simulated
+    seed: int  # of the draws
 
     def headline(self) -> str:
         """Return a line that names the scenario."""

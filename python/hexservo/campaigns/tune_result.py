@@ -15,6 +15,7 @@ from hexservo.campaigns.result import CampaignResult
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict, picked
 from hexservo.run.metrics import metric_unit
+from hexservo.scenario.fields import described
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number
 
@@ -75,6 +76,7 @@ class FrontPoint:
     runs: int  # that these are
 
 
+@described
 @dataclass(frozen=True, repr=False, eq=False)
 class TuneResult(Findings):
     """The gains that a search found, and what a campaign on variations that it never used gives for them."""
@@ -92,12 +94,12 @@ class TuneResult(Findings):
     front: tuple[FrontPoint, ...]  # for two metrics, ordered by the first one
     settled: bool  # whether the last search for a worse case found none
     worst_margin: float  # smallest one that this search found
-    history: tuple[Generation, ...]
+    history: tuple[Generation, ...]  # of the search, in order
     variations: int  # of the search at its end, worst cases included
     joined: int  # worst cases among them
     runs: int  # that the search simulated
-    seed: int
-    minimise: tuple[str, ...]
+    seed: int  # of the draws and of the search
+    minimise: tuple[str, ...]  # names of one or two metrics
     path: Path  # of the scenario file
 
     @property

@@ -19,6 +19,7 @@ from hexservo.findings.evidence import Cell, Column, Section, Table
 from hexservo.run.simulation import simulate, uninterrupted
 from hexservo.run.variations import changes_of_run
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.fields import described
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number, whole_number, wrong_type
 
@@ -34,6 +35,7 @@ MAX_SEED = 2**31 - 1
 _STALLED = 1e-3  # a search ends when its candidates' margins differ by less
 
 
+@described
 @dataclass(frozen=True, repr=False, eq=False)
 class WorstCase(Findings):
     """The worst case found: there may be a worse one."""

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import shlex
 import sys
 import time
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -26,11 +28,16 @@ from hexservo.cli.terminal import (
 )
 
 STANDARD_OUTPUT = "-"  # in place of a file
+_LOGS = (".csv", ".mcap")  # ends of their names
+_RUN = "Name of a packaged scenario, path of a YAML file, path of a result.nc that `run --out` wrote"
 _RunArgument = Annotated[
+    str, typer.Argument(metavar="SCENARIO_OR_RESULT", help=f'{_RUN}, or "-" for a scenario on standard input.')
+]
+_RunOrLogArgument = Annotated[
     str,
     typer.Argument(
         metavar="SCENARIO_OR_RESULT",
-        help="Name of a packaged scenario, path of a YAML file, or path of a result.nc that `run --out` wrote.",
+        help=f'{_RUN}, a log (CSV or MCAP, with --machine), or "-" for a scenario on standard input.',
     ),
 ]
 JsonOption = Annotated[
@@ -87,7 +94,7 @@ def analyse(
 
 
 def diagnose(
-    run: _RunArgument,
+    run: _RunOrLogArgument,
     settings: SettingsOption = None,
     camera: CameraOption = None,
     json: JsonOption = None,
@@ -145,7 +152,7 @@ def _result(run: str, settings: list[str], camera: str | None = None) -> hs.Resu
     """Read a saved result, or run a scenario; a run interrupted with Ctrl-C is not evaluated."""
     if _is_saved(run, settings, camera):
         return hs.load_result(run)
-    return _run(load(run, settings, camera))
+    return _run(_loaded(run, settings, camera))
 
 
 def _run(scenario: hs.Scenario) -> hs.Result:
@@ -162,7 +169,15 @@ def _simulated(scenario: hs.Scenario) -> hs.Result:
 
 
 def _scenario(run: str, settings: list[str]) -> hs.Scenario:
-    return hs.load_result(run).scenario if _is_saved(run, settings) else load(run, settings)
+    return hs.load_result(run).scenario if _is_saved(run, settings) else _loaded(run, settings)
+
+
+def _loaded(run: str, settings: list[str], camera: str | None = None) -> hs.Scenario:
+    """Load a scenario; a log needs its machine."""
+    if run.endswith(_LOGS) and Path(run).is_file():
+        command = f"hexservo diagnose {shlex.quote(run)} --machine SCENARIO"
+        raise hs.ScenarioError([f"this is a log; name its machine: {command}"], run)
+    return load(run, settings, camera)
 
 
 def _is_saved(run: str, settings: list[str], camera: str | None = None) -> bool:

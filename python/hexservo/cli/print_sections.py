@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hexservo.cli.terminal import width
@@ -38,9 +39,20 @@ def _printed_item(item: Item) -> Iterator[RenderableType]:
         yield _table(item) if _least_width(item) <= width() else _listed(item)
     else:
         yield Text(f"{item.title}: a figure, drawn in a notebook, and of a run by `hexservo report`", style="dim")
-    for words in (item.note, f"Explained in {item.page}" if item.page else ""):
-        if words:
-            yield Text(words, style="dim")
+    if item.note:
+        yield Text(item.note, style="dim")
+    if item.page:  # in one line, as it can be copied
+        yield Text(f"Explained in {_place(item.page)}", style="dim", no_wrap=True, overflow="ignore")
+
+
+def _place(page: str) -> str:
+    """Return where a page is installed, from the current folder if it is inside."""
+    from hexservo.report.documentation import page_path
+
+    path = page_path(page)
+    if path is None:
+        return page
+    return str(path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path)
 
 
 def _least_width(item: Table) -> int:

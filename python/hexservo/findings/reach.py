@@ -12,17 +12,19 @@ from hexservo.findings.analysis.reach import nearest_limit
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.nearest import distance, nearest_within
 from hexservo.scenario.arrays import Array, real_numbers
+from hexservo.scenario.fields import described
 from hexservo.scenario.pixels import to_pixels
 from hexservo.scenario.scenario import Scenario, require_scenario
 
 _LARGEST = 1e6  # [m; rad], of a displacement: squares of much larger ones have no value
 
 
+@described
 @dataclass(frozen=True, eq=False)
 class Reachability:
     """Whether the legs take the platform to a pose, what limits them there, and the nearest pose that they reach."""
 
-    within: bool
+    within: bool  # whether the pose is within reach
     limit: Literal["stroke", "base_joint", "platform_joint", "singularity"]  # that binds, or is nearest
     leg: int  # nearest to its limit or farthest beyond it, 1 to 6
     # what is left of that leg's limit [m], of a joint or a crank [rad]; negative beyond it, -infinity where the crank
@@ -69,7 +71,7 @@ def project(scenario: Scenario, pose: ArrayLike) -> Array:
     Returns
     -------
     Array
-        (..., 8) pixels of the points [px], as the camera counts them: by (4) of docs/model.md, through the lens if it
+        (..., 2p) pixels of p points [px], as the camera counts them: by (4) of docs/model.md, through the lens if it
         has one; NaN where a point is not in front of the camera, or the lens does not show it.
 
     Raises

@@ -1,4 +1,4 @@
-"""Pages of the documentation inside a report, so that the links "Explained in" always work."""
+"""Pages of the documentation: where they are installed, and inside a report, so that "Explained in" always works."""
 
 from __future__ import annotations
 
@@ -19,20 +19,23 @@ _FOLDER = "docs"
 
 
 @cache
-def _text(name: str) -> str | None:
-    """Return a page, such as "docs/model.md", of the installed package or of the source tree; None if there is none."""
+def page_path(name: str) -> Path | None:
+    """Return where a page, such as "docs/model.md", is: in the installed package or the source tree; None: nowhere."""
     if not re.fullmatch(rf"{_FOLDER}/[\w/-]+\.md", name):
         return None
-    for root in (Path(str(resources.files("hexservo"))), Path(__file__).resolve().parents[3]):
-        file = root / name
-        if file.is_file():
-            return file.read_text(encoding="utf-8")
-    return None
+    roots = (Path(str(resources.files("hexservo"))), Path(__file__).resolve().parents[3])
+    return next((root / name for root in roots if (root / name).is_file()), None)
+
+
+@cache
+def _text(name: str) -> str | None:
+    file = page_path(name)
+    return None if file is None else file.read_text(encoding="utf-8")
 
 
 def is_page(name: str) -> bool:
     """Return whether there is a page of this name."""
-    return _text(name) is not None
+    return page_path(name) is not None
 
 
 def anchor_of(name: str, heading: str = "") -> str:

@@ -29,6 +29,7 @@ from hexservo.run.variations import (
     unit_of_varied,
 )
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.fields import described
 from hexservo.scenario.leg_units import unit_of
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario, require_scenario
@@ -56,6 +57,7 @@ _CAUSES = np.array([cause.name for cause in sorted(_core.StopCause, key=lambda c
 _MAX_THREADS = 1024
 
 
+@described
 @dataclass(frozen=True, eq=False, repr=False)
 class BatchResult:
     """Results of n scenarios, in the order of their variations. Axis 0 of every array is the scenario.

@@ -19,6 +19,7 @@ from hexservo.run.files import write_folder
 from hexservo.run.leg_limits import leg_limits
 from hexservo.run.metrics import METRICS, metric_unit, readable_unit, unsettled
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.fields import described
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number
 
@@ -26,11 +27,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+@described
 @dataclass(frozen=True, eq=False, repr=False)
 class ComparisonRow:
     """Result of one law in one scenario."""
 
-    law: str
+    law: str  # name of a law or a custom controller
     scenario: Scenario  # with that law; as given where the law refuses it
     # as Result.outcome ("interrupted" also where a run was never begun), or "refused": the law cannot run the scenario,
     # or "failed": the custom controller raised an exception or gave no finite command
@@ -105,6 +107,7 @@ COLUMNS = (
 """What the table for people shows, in this order; `to_csv` has all metrics."""
 
 
+@described
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison:
     """Several laws on several scenarios, one row for each pair: scenario by scenario, law by law, in the given order.
@@ -112,9 +115,9 @@ class Comparison:
     A row depends on its law and scenario only, not on the other rows, bit for bit within one variant.
     """
 
-    laws: tuple[str, ...]
+    laws: tuple[str, ...]  # names of laws and of custom controllers
     scenarios: tuple[Scenario, ...]  # with the changes, and the law that they came with
-    rows: tuple[ComparisonRow, ...]
+    rows: tuple[ComparisonRow, ...]  # in the order above
 
     def __repr__(self) -> str:
         """Return the verdicts in a line for each law."""

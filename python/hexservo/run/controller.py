@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from hexservo import _core
 from hexservo.scenario.arrays import Array, real_numbers
+from hexservo.scenario.fields import described
 from hexservo.scenario.parameters import Settings, core_parameters
 from hexservo.scenario.scenario import Scenario, require_scenario
 from hexservo.scenario.wording import wrong_type
@@ -16,6 +17,7 @@ from hexservo.scenario.wording import wrong_type
 InputStatus: TypeAlias = Literal["valid", "unusable", "missing_image", "stale_image", "lost_feature"]
 
 
+@described
 class ControllerOutput(NamedTuple):
     """Output of a tick; vectors are in the base frame B (docs/model.md, section 7)."""
 
@@ -49,8 +51,13 @@ class Controller:
 
     It is the controller of the sampled loop, all of it, and the one that ``hexservo export`` takes to a robot: frames
     with their times of exposure, prediction, lost points, timeout, the pose of the encoders, the law, the wait of the
-    weights under saturation, and the safe output. It uses the data of the scenario's controller: not ``uncertainty``,
-    which belongs to the plant. A scenario in ``continuous`` mode has a frame and a pose at every tick.
+    weights under saturation, and the safe output. A scenario in ``continuous`` mode has a frame and a pose at every
+    tick.
+
+    Of ``uncertainty`` it has what the controller itself assumes wrongly: focal length, principal point, mount, depth of
+    the target's points where the law has a model of them, and the latency of ``sampled`` mode, of which poses are kept
+    the longer. Set these to 0 for a real robot, unless its estimates are known to be wrong by so much. Errors of
+    inertia, Coriolis terms and weight belong to the plant and have no effect here.
 
     For education and tests. A call from Python costs several times the tick itself, most of it for the conversion of
     arrays. A robot's program includes the header that ``hexservo export`` writes and calls ``hexservo::step``.
@@ -133,10 +140,13 @@ class Controller:
         Parameters
         ----------
         features
-            (2p,) of p points, measured (x1, y1, ..., xp, yp) from the image centre [px], NaN for a point that the frame
-            does not show. None: no frame arrived since the last tick, and the one before is used, or predicted.
+            (2p,) of p points, measured pixels (x1, y1, ..., xp, yp) as the scenario's camera counts them [px], those of
+            `project`: by ``camera.principal_point``, ``axes`` and ``distortion``, which the tick takes out. NaN
+            for a point that the frame does not show. None: no frame arrived since the last tick, and the one before is
+            used, or predicted.
         depth
-            (p,), measured z of the points in E at the exposure, negative in front of the camera [m].
+            (p,), measured Z of the points at the exposure, along the axis of the camera, which is that of E unless it
+            has a ``camera.mount``; negative in front of the camera, with either of ``camera.axes`` [m].
         position
             (3,), of E's origin, in B [m]. Not used where ``sensors.pose`` is ``encoders``.
         quaternion

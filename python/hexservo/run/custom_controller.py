@@ -12,11 +12,13 @@ from numpy.typing import ArrayLike
 
 from hexservo import _core
 from hexservo.scenario.arrays import Array, real_numbers
+from hexservo.scenario.fields import described
 from hexservo.scenario.laws import ALL_LAWS
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario
 
 
+@described
 class Observation(NamedTuple):
     """Input of a controller at a servo tick: measurements, never the plant's true values.
 
@@ -30,9 +32,11 @@ class Observation(NamedTuple):
     exposure: float
     """Time at which the newest frame was taken [s]; NaN before the first one has arrived."""
     features: Array
-    """(2p,), as the newest frame or the prediction has them [px]; NaN until every point has been seen once."""
+    """(2p,) of p points, from the newest frame or the prediction: (x, y) of each from the principal point, y up, as the
+    pinhole of the controller's camera has them, lens and axes taken out [px]; NaN until every point has been seen
+    once."""
     depth: Array
-    """(p,), estimates of Z, negative in front of the camera [m]; NaN as the features."""
+    """(p,), estimates of Z in the camera's frame C, negative in front of the camera [m]; NaN as the features."""
     position: Array
     """(3,), of E's origin in B, by the joint sensors [m]."""
     quaternion: Array
@@ -44,17 +48,12 @@ class Observation(NamedTuple):
 _seen_of = attrgetter(*Observation._fields)  # of what the core has seen, under equal names
 
 
+@described
 @dataclass(frozen=True, eq=False)
 class LegForces:
-    """Output of a controller that commands the legs individually.
+    """Output of a controller that commands the legs individually."""
 
-    Parameters
-    ----------
-    forces
-        (6,), positive where they push the platform away from the base [N].
-    """
-
-    forces: ArrayLike
+    forces: ArrayLike  # (6,), positive where they push the platform away from the base [N]
 
 
 OwnController: TypeAlias = Callable[[Observation], "ArrayLike | LegForces"]

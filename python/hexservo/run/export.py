@@ -24,6 +24,20 @@ TITLE = "// hexservo gains, format 1"
 """First line of every exported header, which distinguishes it from other files."""
 
 
+C_NAMES = frozenset(
+    """
+    gains gains_create gains_destroy gains_memory gains_period gains_place gains_points gains_size input
+    input_clear input_status interface key metric_count metric_name outcome outcome_name output plant
+    plant_command plant_create plant_destroy plant_newest plant_outcome plant_sense quantity run run_advance
+    run_create run_destroy run_detail run_goal run_metrics run_newest run_outcome run_rows run_samples run_scene
+    run_target run_time run_width scenario scenario_copy scenario_create scenario_destroy scenario_get_numbers
+    scenario_get_text scenario_key scenario_key_count scenario_message scenario_points scenario_set_number
+    scenario_set_numbers scenario_set_text scenario_validate scene state state_create state_destroy state_memory
+    state_place state_size status tick type version
+    """.split()  # noqa: SIM905
+)
+"""Names of hexservo.h without ``hexservo_``: a namespace of such a name would not compile beside that header."""
+
 _ASSUMED = ("depth", "focal_length", "principal_point", "mount.position", "mount.rotation", "latency")
 """Keys of ``uncertainty`` that are errors of what the controller assumes."""
 
@@ -60,12 +74,12 @@ def gains_header(scenario: Scenario, period: float | None = None) -> str:
     """Return a C++ header with all parameters of the controller of a scenario, as constants.
 
     The header defines ``Law``, ``period``, ``settings()`` and ``controller_gains()`` in the namespace
-    ``hexservo_NAME``, where NAME is the scenario's, with "_" for what is neither letter nor digit, and the macro
-    ``HEXSERVO_GAINS`` as that namespace where no header before it has. Numbers read back bit for bit. What belongs to
-    the plant is no part of it: errors of inertia, Coriolis terms and weight, the faults of camera, encoders and
-    actuators that a simulation adds, and the motion of the base. What ``uncertainty`` has the controller itself assume
-    wrongly is part of it: depth, focal length, principal point, mount and, in ``sampled`` mode, latency (docs/model.md,
-    section 7).
+    ``hexservo_NAME``, where NAME is the scenario's, with "_" for what is neither letter nor digit, and followed by
+    ``_scenario`` where hexservo.h has that name, as ``hexservo_gains``; and the macro ``HEXSERVO_GAINS`` as that
+    namespace where no header before it has. Numbers read back bit for bit. What belongs to the plant is no part of it:
+    errors of inertia, Coriolis terms and weight, the faults of camera, encoders and actuators that a simulation adds,
+    and the motion of the base. What ``uncertainty`` has the controller itself assume wrongly is part of it: depth,
+    focal length, principal point, mount and, in ``sampled`` mode, latency (docs/model.md, section 7).
 
     Parameters
     ----------
@@ -184,4 +198,7 @@ def _number(value: float) -> str:
 
 def _namespace(name: str) -> str:
     """Turn a scenario's name into a C++ name; what comes first keeps it apart from keywords and digits."""
-    return "_".join(["hexservo", *re.findall("[A-Za-z0-9]+", name)])
+    words = re.findall("[A-Za-z0-9]+", name)
+    if "_".join(words) in C_NAMES:
+        words.append("scenario")
+    return "_".join(["hexservo", *words])

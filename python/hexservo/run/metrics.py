@@ -1,4 +1,4 @@
-"""Metrics of a run, with their units."""
+"""Metrics of a run, with their units: `METRICS` maps each name to its unit and what it is."""
 
 from __future__ import annotations
 

@@ -12,6 +12,7 @@ from hexservo.run.drawn import html_of
 from hexservo.run.metrics import readable_unit
 from hexservo.run.saving import save_result, saved_attributes
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.fields import described
 from hexservo.scenario.leg_units import unit_of
 from hexservo.scenario.pixels import desired_features, to_pixels
 from hexservo.scenario.version import VERSION
@@ -72,7 +73,7 @@ def quantities(points: int) -> dict[str, Quantity]:
     features = [f"{axis}{number}" for number in numbers for axis in "xy"]
     return {
         "feature_error": ("feature", features, "px", "desired minus true feature coordinates"),
-        "depth": ("point", list(numbers), "m", "true Z of the points in the camera frame E, negative in front"),
+        "depth": ("point", list(numbers), "m", "true Z of the points in the camera's frame C, negative in front"),
         **_OF_PLATFORM,
     }
 
@@ -83,11 +84,12 @@ def leg_words(robot: Robot, name: str, meaning: str) -> str:
     return rotary.get(name, meaning) if robot.legs == "rotary" else meaning
 
 
+@described
 @dataclass(frozen=True)
 class LimitEvent:
     """A leg beyond one of its limits; continuous runs report this and continue."""
 
-    kind: LimitKind
+    kind: LimitKind  # stroke, force, speed, base_joint or platform_joint
     leg: int  # 1 to 6; column leg - 1 of the arrays
     time: float  # when it first exceeded the limit [s]
     peak: float  # of the run: largest |length - home length| [m], |force| [N], |rate| [m/s] or tilt [rad]
@@ -111,6 +113,7 @@ class LimitEvent:
         )
 
 
+@described
 @dataclass(frozen=True, eq=False, repr=False)
 class Result:
     """Samples of one run, on the grid that ``simulation.log_every`` asks for; the last good sample is always there.
@@ -118,15 +121,16 @@ class Result:
     Frames and orders: docs/model.md section 1. Arrays are C-contiguous and share the run's memory.
     """
 
-    scenario: Scenario
+    scenario: Scenario  # that was run
     controller: str  # the law that acted, or the name of the function that stood in its place
+    # completed, diverged, behind_camera, feature_lost, leg_limit, singular, solver_failed or interrupted
     outcome: Outcome
     end_time: float  # time of the last good sample [s]
     detail: str  # one sentence: how the run ended
     events: tuple[LimitEvent, ...]  # exceeded limits, by time
     time: Array  # (n,) [s]
     feature_error: Array  # (n, 2p) [px] of p points, desired minus true (x1, y1, ..., xp, yp)
-    depth: Array  # (n, p) [m], true Z of the points in E, negative in front of the camera
+    depth: Array  # (n, p) [m], true Z of the points in the camera's frame C, negative in front of the camera
     position: Array  # (n, 3) [m], in B
     quaternion: Array  # (n, 4) w x y z
     twist: Array  # (n, 6) [m/s, rad/s], in B

@@ -15,7 +15,7 @@ from hexservo.scenario.wording import wrong_type
 
 
 def simulate(scenario: Scenario, *, controller: OwnController | None = None, log_weights: bool = False) -> Result:
-    """Run a scenario from home, at rest (docs/model.md, sections 3 to 8).
+    """Run a scenario from ``simulation.start``, by default home, at rest (docs/model.md, sections 3 to 8).
 
     The closed loop runs in the core, without the interpreter's lock. A run that diverges, loses its target or meets a
     singular pose is a result, with its outcome, its time and its last good sample. Ctrl-C ends the run with the

@@ -14,6 +14,7 @@ from hexservo.findings.analysis.loop_of_scenario import with_features, with_gain
 from hexservo.findings.analysis.not_computed import NotComputed, not_computed
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Section, as_data
+from hexservo.scenario.fields import described
 from hexservo.scenario.motion import moves
 from hexservo.scenario.pixels import WRONG_CAMERA, has_camera_wrong
 from hexservo.scenario.scenario import Scenario, require_scenario
@@ -51,6 +52,7 @@ PARTS: dict[str, tuple[str, str]] = {
 }
 
 
+@described
 @dataclass(frozen=True, eq=False, repr=False)
 class Analysis(Findings):
     """Analysis of a scenario before a run: one result per part, by the part's name.
@@ -58,8 +60,8 @@ class Analysis(Findings):
     A part whose numbers leave the range of double precision, or whose matrices are singular, is a `NotComputed`.
     """
 
-    scenario: Scenario
-    parts: dict[str, Any]
+    scenario: Scenario  # that was analysed
+    parts: dict[str, Any]  # name of a part, such as "conditioning" -> its findings, or a `NotComputed`
 
     def __getattr__(self, name: str) -> Any:
         """Return a part by its name, as in ``analysis.conditioning``."""

@@ -14,6 +14,7 @@ from hexservo.findings.certificate.uncertainty import Assumption, assumption_of,
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Section, as_data
 from hexservo.run.result import Result
+from hexservo.scenario.fields import described
 from hexservo.scenario.laws import THEOREM_LAW
 from hexservo.scenario.scenario import Scenario
 
@@ -26,16 +27,18 @@ _TITLES = {
 }
 
 
+@described
 @dataclass(frozen=True, eq=False, repr=False)
 class Certificate(Findings):
     """Certificate of a finished run: a numerical check of one trajectory at its samples, not a proof."""
 
-    scenario: Scenario
-    lyapunov: Lyapunov | None  # None where `open_questions` has the reason
-    assumption: Assumption | None
-    energy: EnergyLedger | None
-    # of the result from the run that was certified, by quantity, infinite of what is no number; empty: bit for bit
-    differences: dict[str, float]
+    scenario: Scenario  # of the run
+    lyapunov: Lyapunov | None  # the function and its rate; None where `open_questions` has the reason
+    assumption: Assumption | None  # k_v >= eta_Delta; likewise
+    energy: EnergyLedger | None  # work of controller and errors; likewise
+    differences: dict[
+        str, float
+    ]  # of the result from the run that was certified, by quantity; inf: no number, empty: bit for bit
     only_rounding: bool  # whether all of them are within rounding
     remark: str  # the same in a sentence
     open_questions: dict[str, str] = field(default_factory=dict)  # section -> why it has no numbers

@@ -19,15 +19,17 @@ from hexservo.run.metrics import metrics
 from hexservo.run.progress import reporting
 from hexservo.run.variations import changes_of_run, checked_variations
 from hexservo.scenario.arrays import Array, Mask
+from hexservo.scenario.fields import described
 from hexservo.scenario.laws import THEOREM_LAW
 from hexservo.scenario.scenario import Scenario, require_scenario
 
 
+@described
 @dataclass(frozen=True, eq=False, repr=False)
 class BatchCertificate(Part):
     """Whether k_v >= eta_Delta held in n runs, and whether they settled, in the order of their variations."""
 
-    scenario: Scenario
+    scenario: Scenario  # without the variations
     variations: Mapping[str, Array] = field(repr=False)  # as given, each (n or 1, ...)
     outcome: NDArray[np.str_] = field(repr=False)  # (n,) as Result.outcome; "interrupted" where Ctrl-C came before
     settling_time: Array = field(repr=False)  # (n,) [s]; NaN where a run does not settle or was not run

@@ -10,6 +10,7 @@ from hexservo.findings.diagnosis.goal import Obstacle
 from hexservo.findings.evidence import Section, as_data, picked
 from hexservo.findings.part import Part
 from hexservo.run.result import Result
+from hexservo.scenario.fields import described
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,21 +42,22 @@ class Finding:
     remedy: Remedy | None  # None for causes of low score
 
 
+@described
 @dataclass(frozen=True, eq=False, repr=False)
 class Diagnosis(Part):
     """Whether a run failed, and why: causes with evidence and remedy, the most likely one first."""
 
-    result: Result
+    result: Result  # the run that was diagnosed
     failed: bool | None  # None: the run was interrupted
     criteria: tuple[str, ...]  # a clause for each criterion, with its value and its limit
     causes: tuple[Finding, ...] = ()  # ranked: those that are named first
     together: tuple[str, ...] = ()  # keys of two causes that make the run fail only together
     controls: tuple[bool, ...] = ()  # whether the run passes with other seeds and with small random changes
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()  # sentences on what limits the diagnosis
     absent: tuple[str, ...] = ()  # titles of causes that are not present in the scenario, or that could not be tried
     obstacle: Obstacle | None = None  # why no law can reach the goal
-    record: Record | None = None
-    judgement: Judgement | None = None
+    record: Record | None = None  # what the causes are judged by
+    judgement: Judgement | None = None  # by the criteria
     cured: Record | None = None  # the run without the first cause
 
     @property

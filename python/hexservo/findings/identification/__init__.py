@@ -17,6 +17,7 @@ from hexservo.findings.identification.log import Log, read_log
 from hexservo.findings.identification.motors import MotorFit, fit_motors
 from hexservo.findings.identification.reach import require_reach
 from hexservo.run.progress import ProgressCallback, reporting
+from hexservo.scenario.fields import described
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.leg_units import leg_units
 from hexservo.scenario.scenario import Scenario
@@ -25,6 +26,7 @@ from hexservo.scenario.wording import wrong_type
 __all__ = ["CameraFit", "DriveFit", "Drives", "Identification", "Log", "MotorFit", "identify", "read_log"]
 
 
+@described
 @dataclass(frozen=True, eq=False, repr=False)
 class Identification(Findings):
     """What the log of a machine gives, and the scenario with it."""
@@ -32,7 +34,7 @@ class Identification(Findings):
     machine: Scenario = field(repr=False)  # that was given
     scenario: Scenario  # the machine with `changes` and `rounded`
     changes: dict[str, Any]  # keys of the scenario that the log gives, by dotted name
-    drives: Drives
+    drives: Drives  # of the legs
     camera: CameraFit | None  # None where the log has no image
     motors: MotorFit | None = None  # None where they were not asked for, or not all legs moved
     rounded: dict[str, Any] = field(default_factory=dict)  # times of the machine in whole ticks of the log, likewise

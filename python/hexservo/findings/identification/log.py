@@ -15,6 +15,7 @@ import numpy as np
 
 from hexservo.findings.identification.mcap_log import read_mcap
 from hexservo.scenario.arrays import Array, real_numbers
+from hexservo.scenario.fields import described
 from hexservo.scenario.reading import path_text
 from hexservo.scenario.wording import wrong_type
 from hexservo.scenario.yaml import ScenarioError
@@ -34,6 +35,7 @@ _LEGS = tuple(range(1, 7))
 _REQUIRED = (_TIME, *(f"{name}_{leg}" for name in ("command", "joint") for leg in _LEGS))  # columns
 
 
+@described
 @dataclass(frozen=True, eq=False)
 class Frames:
     """Images that arrived, m of them."""
@@ -47,6 +49,7 @@ class Frames:
         _make_arrays(self, ("features", "arrival") if self.exposure is None else ("features", "arrival", "exposure"))
 
 
+@described
 @dataclass(frozen=True, eq=False)
 class Log:
     """Record of a machine that takes positions: n ticks, evenly spaced.
