@@ -36,9 +36,8 @@ class Certificate(Findings):
     lyapunov: Lyapunov | None  # the function and its rate; None where `open_questions` has the reason
     assumption: Assumption | None  # k_v >= eta_Delta; likewise
     energy: EnergyLedger | None  # work of controller and errors; likewise
-    differences: dict[
-        str, float
-    ]  # of the result from the run that was certified, by quantity; inf: no number, empty: bit for bit
+    # of the result from the run that was certified, by quantity, infinite of what is no number; empty: bit for bit
+    differences: dict[str, float]
     only_rounding: bool  # whether all of them are within rounding
     remark: str  # the same in a sentence
     open_questions: dict[str, str] = field(default_factory=dict)  # section -> why it has no numbers
