@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import re
 import subprocess
 import sys
 import zipfile
@@ -365,3 +366,26 @@ def test_landmarks_are_around_the_point_to_look_at() -> None:
     assert LANDMARKS.shape == (5, 3)
     np.testing.assert_allclose(LANDMARKS[:, 0].sum(), 0.0, atol=1e-15)
     np.testing.assert_allclose(LANDMARKS[NOSE], [0.0, 0.0, -0.02])
+
+
+def test_rows_with_another_focal_length_are_told_apart() -> None:
+    trial = table.Trial("fix", "freed", "yaw", 15.0, "unknown", 0.6, 0)
+    rows = [replace(trial, focal_error=error) for error in (0.0, 0.17)]
+    exact, long = (table.line(table.Row(row, dict.fromkeys(table.FIGURES, (0.0, 0.0)), (0,))) for row in rows)
+    column = slice(table.heading().index("f error"), table.heading().index("f error") + len("f error"))
+    assert (exact[column].strip(), long[column].strip()) == ("0%", "17%")
+
+
+def test_the_readme_has_the_numbers_of_the_page() -> None:
+    """Of motors as shipped and 25 deg of yaw: overshoot and time of all laws."""
+    root = Path(__file__).parents[2]
+    page = (root / "docs" / "reachy-mini.md").read_text(encoding="utf-8")
+    (row,) = (line for line in (root / "README.md").read_text(encoding="utf-8").splitlines() if "Face tracking" in line)
+    rows = [line for line in page.splitlines() if line.startswith("| shipped | yaw |")]
+    (_, _, *overshoot), (_, _, *settled) = (line.strip("| ").split(" | ") for line in rows[:2])
+    assert f"law `tracking`: {overshoot[3][:-1]}°), within 1° after {settled[3][:-1]} s)" in row
+    shipped, fix = ([float(number) for number in re.findall(r"[0-9.]+", cell)] for cell in overshoot[:2])
+    assert f"overshoots {shipped[0]:.0f}° ({shipped[1]:.0f}°)" in row
+    assert f"proposed for it {fix[0]:.1f}° ({fix[1]:.1f}°)" in row
+    others = " s and ".join(f"{float(cell.split()[0]):.3g}" for cell in settled[:2])
+    assert f"the two others {others} s" in row
