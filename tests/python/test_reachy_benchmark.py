@@ -17,9 +17,10 @@ from unittest.mock import Mock
 import cv2
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
-from face_tracking import ours, table
+from face_tracking import ours, picture, table
 from face_tracking.__main__ import main
 from face_tracking.machine import COUNT, MOTORS, PACKAGE, TICK, Head, exported_model, kinematics, package_model
 from face_tracking.published import Frame, ImageFilter, PublishedLaw
@@ -374,6 +375,26 @@ def test_rows_with_another_focal_length_are_told_apart() -> None:
     exact, long = (table.line(table.Row(row, dict.fromkeys(table.FIGURES, (0.0, 0.0)), (0,))) for row in rows)
     column = slice(table.heading().index("f error"), table.heading().index("f error") + len("f error"))
     assert (exact[column].strip(), long[column].strip()) == ("0%", "17%")
+
+
+def test_lines_of_the_picture_differ_without_colour_and_have_one_legend(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    times = np.linspace(0.0, 7.0, 8)
+    still = Record(times, np.ones((8, 2)), np.ones((8, 2)), np.zeros(8), np.zeros((8, 6)), (1, 1))
+    monkeypatch.setattr(picture, "record_of", lambda trial: still)
+    saved: list[Figure] = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, path, dpi: saved.append(figure))
+    laws = ["shipped", "fix", "resolved_rate", "tracking"]
+    like = table.Trial("fix", "freed", "yaw", 15.0, "unknown", 0.6, 0)
+    picture.draw(tmp_path / "p.png", laws, ["shipped", "freed"], list(CASES), [0], like, {})
+    panels = saved[0].axes
+    assert len(panels) == 2 * len(picture.SHOWN)
+    assert len(saved[0].legends) == 1
+    assert not any(panel.get_legend() for panel in panels)
+    lines = panels[0].get_lines()
+    assert len({line.get_color() for line in lines}) == len(laws)
+    assert len({line.get_linewidth() for line in lines if line.get_linestyle() == "-"}) == 2  # the others have dashes
 
 
 def test_the_readme_has_the_numbers_of_the_page() -> None:
