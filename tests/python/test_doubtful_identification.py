@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ import hexservo as hs
 from hexservo.cli.commands import app
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.identification.changes import changes_of
-from hexservo.findings.identification.drives import MOST_DELAY, fit_drives
+from hexservo.findings.identification.drives import MOST_DELAY, Drives, fit_drives
 from hexservo.findings.identification.drives_words import with_interval
 from hexservo.findings.identification.frames import fit_camera
 from hexservo.findings.identification.interval import Interval
@@ -52,6 +53,63 @@ def test_a_bandwidth_beyond_what_is_searched_has_no_upper_end() -> None:
     assert bandwidth.high == np.inf
     assert "actuators.position.bandwidth" not in changes_of(log, found, None)
     assert found.section().verdict != "good"
+
+
+@pytest.fixture(scope="module")
+def slow_legs() -> tuple[Log, Drives]:
+    """A log of two legs with one slow pole, 2 zeta/omega = 0.25 s, whose noise hides the other pole."""
+    random = np.random.default_rng(SEED)
+    commands = np.full((250, 6), 0.2)
+    commands[:, [1, 3]] += wandering(random, 250, 0.02, 0.004, 0.6)[:, [1, 3]]
+    log = record(commands, 0.02, [Drive(8.0, np.pi * 8.0 * 0.25)] * 6, 3e-4, random)
+    return log, fit_drives(log, METRES, delays=(0,))
+
+
+def test_legs_with_a_slow_pole_give_a_pair_with_their_lag(paper: hs.Scenario, slow_legs: tuple[Log, Drives]) -> None:
+    log, found = slow_legs
+    assert not any(fit.response_is_known for fit in found.moved)
+    identified = paper.updated(changes_of(log, found, None)).actuators.position
+    assert identified.damping / (np.pi * identified.bandwidth) == pytest.approx(0.25, rel=0.1)
+    assert all(fit.lag is not None and fit.lag.low < 0.25 < fit.lag.high for fit in found.moved)
+    section = found.section()
+    assert section.verdict == "warning"
+    assert any(
+        "Only 2 zeta/omega, the lag of a slow leg, is determined of legs 2, 4: 0.2" in s for s in section.sentences
+    )
+    assert any("only stand for the mean lag of 0.2" in sentence for sentence in section.sentences)
+
+
+def test_bandwidth_and_damping_are_keys_together_or_not_at_all(slow_legs: tuple[Log, Drives]) -> None:
+    log, slow = slow_legs
+    known, unknown = Interval(8.0, 7.0, 9.0), Interval(8.0, -np.inf, np.inf)
+
+    def keys_of(bandwidth: Interval, damping: Interval, lag: Interval) -> dict[str, Any]:
+        fits = [
+            replace(fit, bandwidth=bandwidth, damping=damping, lag=lag) if fit.bandwidth else fit for fit in slow.fits
+        ]
+        changes = changes_of(log, replace(slow, fits=tuple(fits)), None)
+        return {key.split(".")[-1]: changes[key] for key in changes if key.endswith(("bandwidth", "damping"))}
+
+    assert keys_of(known, known, unknown) == {"bandwidth": 8.0, "damping": 8.0}
+    for one, other in [(known, unknown), (unknown, known), (unknown, unknown)]:
+        assert keys_of(one, other, unknown) == {}
+        pair = keys_of(one, other, Interval(0.25, 0.24, 0.26))
+        assert pair["damping"] / (np.pi * pair["bandwidth"]) == pytest.approx(0.25, rel=1e-5)
+
+
+def test_the_lag_of_a_fast_leg_at_an_edge_is_not_determined() -> None:
+    """Its true bandwidth may be beyond what is searched, and the lag of that is shorter."""
+    random = np.random.default_rng(SEED)
+    commands = np.full((200, 6), 0.2)
+    commands[:, 3] += wandering(random, 200, 0.01, 0.004, 0.2)[:, 3]
+    joints = np.concatenate([commands[:1], commands[:-1]]) + random.normal(0.0, 1e-6, commands.shape)
+    log = Log(0.01 * np.arange(200.0), 0.01, commands, joints, None)
+    found = fit_drives(log, METRES, delays=(0,))
+    assert found.moved[0].lag is not None
+    assert not found.moved[0].lag.is_bounded
+    sentences = found.section().sentences
+    assert any("and not 2 zeta/omega either" in sentence for sentence in sentences)
+    assert any("are left as they are" in sentence for sentence in sentences)
 
 
 @pytest.mark.parametrize("change", ["opposite", "exchanged"])
@@ -109,7 +167,15 @@ def test_intervals_without_an_end_are_written_with_the_other_one() -> None:
     assert with_interval(Interval(8.0, 8.0, np.inf)) == "at least 8"
     assert with_interval(Interval(8.0, 7.0, np.inf)) == "8 (7 or more)"
     assert with_interval(Interval(0.2, -np.inf, 0.3)) == "0.2 (0.3 or less)"
-    assert with_interval(Interval(0.2, -np.inf, np.inf)) == "not known"
+    assert with_interval(Interval(4.214, -np.inf, np.inf)) == "4.21 (not determined)"
+
+
+def test_a_number_known_to_a_factor_of_100_is_not_determined() -> None:
+    assert Interval.of_logarithm(2.0, np.log(9.9) / 1.96).is_bounded
+    assert Interval.of_logarithm(2.0, np.log(10.1) / 1.96) == Interval(2.0, -np.inf, np.inf)
+    assert Interval.of_logarithm(2.0, np.inf) == Interval(2.0, -np.inf, np.inf)
+    assert Interval(2.0, 1.9, np.inf).determined() == Interval(2.0, 1.9, np.inf)
+    assert Interval(2.0, 1e-15, np.inf).determined() == Interval(2.0, -np.inf, np.inf)
 
 
 @pytest.mark.parametrize("stamps", [None, 0.2])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import re
 import subprocess
 import sys
 import zipfile
@@ -16,9 +17,10 @@ from unittest.mock import Mock
 import cv2
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
-from face_tracking import ours, table
+from face_tracking import ours, picture, table
 from face_tracking.__main__ import main
 from face_tracking.machine import COUNT, MOTORS, PACKAGE, TICK, Head, exported_model, kinematics, package_model
 from face_tracking.published import Frame, ImageFilter, PublishedLaw
@@ -365,3 +367,46 @@ def test_landmarks_are_around_the_point_to_look_at() -> None:
     assert LANDMARKS.shape == (5, 3)
     np.testing.assert_allclose(LANDMARKS[:, 0].sum(), 0.0, atol=1e-15)
     np.testing.assert_allclose(LANDMARKS[NOSE], [0.0, 0.0, -0.02])
+
+
+def test_rows_with_another_focal_length_are_told_apart() -> None:
+    trial = table.Trial("fix", "freed", "yaw", 15.0, "unknown", 0.6, 0)
+    rows = [replace(trial, focal_error=error) for error in (0.0, 0.17)]
+    exact, long = (table.line(table.Row(row, dict.fromkeys(table.FIGURES, (0.0, 0.0)), (0,))) for row in rows)
+    column = slice(table.heading().index("f error"), table.heading().index("f error") + len("f error"))
+    assert (exact[column].strip(), long[column].strip()) == ("0%", "17%")
+
+
+def test_lines_of_the_picture_differ_without_colour_and_have_one_legend(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    times = np.linspace(0.0, 7.0, 8)
+    still = Record(times, np.ones((8, 2)), np.ones((8, 2)), np.zeros(8), np.zeros((8, 6)), (1, 1))
+    monkeypatch.setattr(picture, "record_of", lambda trial: still)
+    saved: list[Figure] = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, path, dpi: saved.append(figure))
+    laws = ["shipped", "fix", "resolved_rate", "tracking"]
+    like = table.Trial("fix", "freed", "yaw", 15.0, "unknown", 0.6, 0)
+    picture.draw(tmp_path / "p.png", laws, ["shipped", "freed"], list(CASES), [0], like, {})
+    panels = saved[0].axes
+    assert len(panels) == 2 * len(picture.SHOWN)
+    assert len(saved[0].legends) == 1
+    assert not any(panel.get_legend() for panel in panels)
+    lines = panels[0].get_lines()
+    assert len({line.get_color() for line in lines}) == len(laws)
+    assert len({line.get_linewidth() for line in lines if line.get_linestyle() == "-"}) == 2  # the others have dashes
+
+
+def test_the_readme_has_the_numbers_of_the_page() -> None:
+    """Of motors as shipped and 25 deg of yaw: overshoot and time of all laws."""
+    root = Path(__file__).parents[2]
+    page = (root / "docs" / "reachy-mini.md").read_text(encoding="utf-8")
+    (row,) = (line for line in (root / "README.md").read_text(encoding="utf-8").splitlines() if "Face tracking" in line)
+    rows = [line for line in page.splitlines() if line.startswith("| shipped | yaw |")]
+    (_, _, *overshoot), (_, _, *settled) = (line.strip("| ").split(" | ") for line in rows[:2])
+    assert f"law `tracking`: {overshoot[3][:-1]}°), within 1° after {settled[3][:-1]} s)" in row
+    shipped, fix = ([float(number) for number in re.findall(r"[0-9.]+", cell)] for cell in overshoot[:2])
+    assert f"overshoots {shipped[0]:.0f}° ({shipped[1]:.0f}°)" in row
+    assert f"proposed for it {fix[0]:.1f}° ({fix[1]:.1f}°)" in row
+    others = " s and ".join(f"{float(cell.split()[0]):.3g}" for cell in settled[:2])
+    assert f"the two others {others} s" in row

@@ -177,7 +177,7 @@ _HEADS = {
 
 def heading() -> str:
     """Return the heading of `table`."""
-    return f"{'motors':8}{'limit':>6}{'Hz':>4} {'latency':10}{'case':7} {'law':14}" + "".join(
+    return f"{'motors':8}{'limit':>6}{'Hz':>4} {'latency':10}{'f error':>8} {'case':7} {'law':14}" + "".join(
         f"{_HEADS[name]:>16}" for name in _SHOWN
     )
 
@@ -186,8 +186,8 @@ def line(row: Row) -> str:
     """Return a row of the table: medians, and the worst in brackets."""
     trial = row.trial
     limit = "none" if trial.limit is None else f"{trial.limit:g}"
-    start = f"{trial.motors:8}{limit:>6}{trial.rate:4.0f} {trial.latency:10}{trial.case:7} {trial.law:14}"
-    return start + "".join(f"{_pair(*row.values[name]):>16}" for name in _SHOWN)
+    start = f"{trial.motors:8}{limit:>6}{trial.rate:4.0f} {trial.latency:10}{trial.focal_error:8.0%} "
+    return f"{start}{trial.case:7} {trial.law:14}" + "".join(f"{_pair(*row.values[name]):>16}" for name in _SHOWN)
 
 
 def _pair(middle: float, worst: float) -> str:

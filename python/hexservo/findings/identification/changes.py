@@ -13,6 +13,7 @@ from hexservo.findings.identification.drives import MOST_DELAY, Drives
 from hexservo.findings.identification.frames import CameraFit
 from hexservo.findings.identification.log import Log
 from hexservo.findings.identification.motors import MotorFit
+from hexservo.findings.identification.one_drive import mean_of, response_of
 from hexservo.findings.part import Part
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.scenario import Scenario
@@ -28,7 +29,6 @@ _FEWEST_TICKS = {  # of the times that a scenario has in whole ticks
     "actuators.delay": 0,
 }
 _WHOLE = 1e-9  # of a tick, or of the time: what is not seen of a difference
-_MAJORITY = 4  # legs in which a limit is seen, for the scenario to have it
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -87,11 +87,12 @@ def _of_drives(drives: Drives, step: float) -> dict[str, Any]:
     delay = round(float(np.median([fit.delay.value for fit in drives.moved if fit.delay is not None])))
     if delay < MOST_DELAY:  # at which the true one may be longer
         changes["actuators.delay"] = _whole(delay * step, step)
-    for name in ("bandwidth", "damping"):
-        if (value := _together(drives, name)) is not None:
-            changes[f"actuators.position.{name}"] = value
+    if (response := response_of(drives)) is not None:
+        changes |= {"actuators.position.bandwidth": _digits(response.bandwidth)}
+        changes |= {"actuators.position.damping": _digits(response.damping)}
     for name in ("speed_limit", "acceleration_limit"):
-        changes[f"actuators.position.{name}"] = _together(drives, name)  # None: no limit
+        limit = mean_of([getattr(fit, name) for fit in drives.moved])
+        changes[f"actuators.position.{name}"] = None if limit is None else _digits(limit)  # None: no limit
     return changes
 
 
@@ -108,20 +109,6 @@ def _of_camera(camera: CameraFit, step: float) -> dict[str, Any]:
     if camera.dropout is not None:
         changes |= {"camera.dropout": _digits(camera.dropout.value)}
     return changes
-
-
-def _together(drives: Drives, name: str) -> float | None:
-    """Return one value for all legs: the mean of the logarithms, each counted by how well it is known.
-
-    None where it is known of fewer than four legs, and not of all that moved.
-    """
-    found = [getattr(fit, name) for fit in drives.moved]
-    known = [one for one in found if one is not None and one.is_bounded]
-    if not known or (len(known) < len(found) and len(known) < _MAJORITY):
-        return None
-    values = np.log([one.value for one in known])
-    sigma = np.maximum(np.log([one.high for one in known]) - values, 1e-9)
-    return _digits(float(np.exp((values / sigma**2).sum() / (1.0 / sigma**2).sum())))
 
 
 def _whole(value: float, step: float) -> float:

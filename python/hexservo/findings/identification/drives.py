@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 from hexservo import _core
-from hexservo.findings.identification.interval import LEVEL, Interval, correlated, deviations, half_width
+from hexservo.findings.identification.interval import LEVEL, Interval, correlated, deviations
 from hexservo.findings.identification.log import FITTED, LEAST_EXPLAINED, Log, leg_moves
 from hexservo.findings.identification.rests import Rests, find_rests, with_friction
 from hexservo.findings.part import Part
@@ -54,6 +54,12 @@ class DriveFit:
     correlated: float  # ticks over which what it leaves is correlated, 1 of white noise
     explained: float | None  # share of the variance of the part kept apart that is predicted, 1: all; None: rests there
     rests: Rests | None = None  # how far from its command friction leaves it; None where the log has too few rests
+    lag: Interval | None = None  # 2 zeta/omega [s], of a leg with a slow pole all that a log determines; None as above
+
+    @property
+    def response_is_known(self) -> bool:
+        """Whether the log determines bandwidth and damping, which are one pair."""
+        return all(one is not None and one.is_bounded for one in (self.bandwidth, self.damping))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -232,6 +238,8 @@ def _described(record: _Record, leg: int, models: Sequence[_Model]) -> tuple[Dri
             leg=leg,
             bandwidth=_hull(best, alike, 0),
             damping=_hull(best, alike, 1),
+            # A limit that hardly acts may make a fit singular, and leaves the lag as it is.
+            lag=_over(best.lag.value, [one.lag for one in alike if one is best or np.isfinite(one.sigma_of_lag)]),
             delay=Interval(
                 float(best.delay), float(min(delays)), np.inf if max(delays) == MOST_DELAY else float(max(delays))
             ),
@@ -256,6 +264,7 @@ class _Model:
     values: Array  # (7,) see `_Record.response`
     free: Mask  # (7,) which of them were fitted
     sigma: Array  # (f,) of those: of the logarithms, but for the last three
+    sigma_of_lag: float  # of the logarithm of 2 zeta/omega
     squares: float  # sum of the residuals' squares
     count: int  # residuals
     correlated: float
@@ -284,14 +293,25 @@ class _Model:
     def interval(self, index: int) -> Interval:
         """Return the confidence interval of one of the first four values."""
         place = int(self.free[:index].sum())
-        wide = half_width(float(self.sigma[place]))
-        value = float(self.values[index])
-        with np.errstate(over="ignore"):
-            low, high = value * float(np.exp(-wide)), value * float(np.exp(wide))
-        if not (low > 0.0 and np.isfinite(high)):
-            return Interval(value, -np.inf, np.inf)
+        found = Interval.of_logarithm(float(self.values[index]), float(self.sigma[place]))
+        return found.opened(*self._within(index))
+
+    @property
+    def lag(self) -> Interval:
+        """The confidence interval of 2 zeta/omega [s].
+
+        At an edge of what is searched nothing is known of it, but of a leg with a slow pole: there any bandwidth from
+        some on, with the damping that keeps the lag, is the same response.
+        """
+        bandwidth, damping = (float(value) for value in self.values[:2])
+        found = Interval.of_logarithm(damping / (np.pi * bandwidth), self.sigma_of_lag)
+        inside = all(low < self.values[index] < high for index in (0, 1) for low, high in [self._within(index)])
+        return found if inside or damping > 1.0 else Interval(found.value, -np.inf, np.inf)
+
+    def _within(self, index: int) -> tuple[float, float]:
+        """Return the ends of what is searched, but for rounding."""
         lowest, highest = self.searched[index]
-        return Interval(value, low, high).opened(_EDGE * lowest, highest / _EDGE)
+        return _EDGE * lowest, highest / _EDGE
 
 
 def _model(record: _Record, delay: int, start: Array, limits: tuple[bool, bool]) -> _Model:
@@ -327,13 +347,16 @@ def _model(record: _Record, delay: int, start: Array, limits: tuple[bool, bool])
     largest = max(float(np.abs(measured).max()), float(np.abs(record.commands).max()))
     floor = len(left) * (8 * np.finfo(float).eps * largest) ** 2  # of rounding
     together = correlated(left)
-    sigma = deviations(fit.jac, fit.fun, len(left) / together)
+    independent = len(left) / together
+    by_lag = fit.jac.copy()
+    by_lag[:, 0] += by_lag[:, 1]  # by the bandwidth with the lag held: the next column is then by the lag
     return _Model(
         delay,
         limits,
         unpacked(fit.x),
         free,
-        sigma,
+        deviations(fit.jac, fit.fun, independent),
+        float(deviations(by_lag, fit.fun, independent)[1]),
         float(left @ left) + floor,
         len(left),
         together,
@@ -375,5 +398,8 @@ def _alike(best: _Model, models: Sequence[_Model]) -> list[_Model]:
 
 def _hull(best: _Model, alike: Sequence[_Model], index: int) -> Interval:
     """Return the interval of one of the first four values over all models that may be the true one and have it."""
-    found = [model.interval(index) for model in alike if model.free[index]]
-    return Interval(float(best.values[index]), min(one.low for one in found), max(one.high for one in found))
+    return _over(float(best.values[index]), [model.interval(index) for model in alike if model.free[index]])
+
+
+def _over(value: float, found: Sequence[Interval]) -> Interval:
+    return Interval(value, min(one.low for one in found), max(one.high for one in found)).determined()

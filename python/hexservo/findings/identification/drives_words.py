@@ -10,6 +10,7 @@ import numpy as np
 from hexservo.findings.evidence import Cell, Column, Curves, Line, Section, Table, Verdict
 from hexservo.findings.identification.drives import MOST_DELAY, DriveFit, Drives
 from hexservo.findings.identification.interval import Interval
+from hexservo.findings.identification.one_drive import Response, response_of
 from hexservo.scenario.wording import below, number
 
 PAGE = "docs/identification.md"
@@ -62,14 +63,14 @@ def section(found: Drives) -> Section:
 
 
 def with_interval(found: Interval | None) -> str | None:
-    """Write an interval: "5.04 (5.03 to 5.05)", "at least 8" with an open end; None without one."""
+    """Write an interval: "5.04 (5.03 to 5.05)", "at least 8", "4.21 (not determined)"; None without one."""
     if found is None:
         return None
     digits = _digits(found)
     if not found.is_bounded:
         end, more = (found.high, "less") if np.isfinite(found.high) else (found.low, "more")
         if not np.isfinite(end):
-            return "not known"
+            return f"{number(found.value)} (not determined)"
         if end == found.value:
             return f"at {'least' if more == 'more' else 'most'} {end:.{digits}g}"
         return f"{found.value:.{digits}g} ({end:.{digits}g} or {more})"
@@ -125,8 +126,8 @@ def _sentences(found: Drives) -> list[str]:
     if not found.explains:
         return words
     words += _of_the_edges(found)
-    bandwidths = [fit.bandwidth.value for fit in moved if fit.bandwidth is not None]
-    if max(bandwidths) > _ALIKE * min(bandwidths):
+    bandwidths = [fit.bandwidth.value for fit in moved if fit.bandwidth is not None and fit.response_is_known]
+    if max(bandwidths, default=0.0) > _ALIKE * min(bandwidths, default=0.0):
         words.append(
             f"The legs differ: bandwidths from {number(min(bandwidths))} to {number(max(bandwidths))} Hz. A "
             "scenario has one for all, the mean weighted by how well each is known."
@@ -184,14 +185,34 @@ def _of_the_edges(found: Drives) -> list[str]:
             "that is tried and that a scenario has. Where that is the best value the key `actuators.delay` is left as "
             "it is; bandwidth and damping then take what is missing of it. A log with longer ticks shows longer delays."
         )
-    for name in ("bandwidth", "damping"):
-        legs = [fit for fit in found.moved if not getattr(fit, name).is_bounded]
-        if legs:
-            words.append(
-                f"The {name} of {_legs(legs)} is at the edge of what is searched, or the log does not determine it: "
-                f"`actuators.position.{name}` is of the other legs, or is left as it is."
-            )
-    return words
+    doubtful = [fit for fit in found.moved if not fit.response_is_known]
+    slow = [fit for fit in doubtful if fit.lag is not None and fit.lag.is_bounded]
+    unknown = [fit for fit in doubtful if fit not in slow]
+    if slow:
+        lags = sorted(fit.lag.value for fit in slow if fit.lag is not None)
+        extremes = list(dict.fromkeys(number(lag) for lag in (lags[0], lags[-1])))
+        words.append(
+            f"Only 2 zeta/omega, the lag of a slow leg, is determined of {_legs(slow)}: {' to '.join(extremes)} s."
+        )
+    if unknown:
+        words.append(
+            f"Bandwidth and damping of {_legs(unknown)} are at the edge of what is searched, or the log does not "
+            "determine them, and not 2 zeta/omega either."
+        )
+    return [*words, _of_the_keys(response_of(found))] if doubtful else words
+
+
+def _of_the_keys(response: Response | None) -> str:
+    """Return what becomes of bandwidth and damping where they are not determined of some legs."""
+    keys = "The keys `actuators.position.bandwidth` and `actuators.position.damping`"
+    if response is None:
+        return f"{keys} are left as they are."
+    if response.lag is None:
+        return f"{keys} are of the other legs."
+    return (
+        f"{keys}, {number(response.bandwidth)} Hz and {number(response.damping)}, only stand for the mean lag of "
+        f"{number(response.lag)} s: the log does not tell them from other pairs with that lag."
+    )
 
 
 def _legs(fits: Iterable[DriveFit]) -> str:

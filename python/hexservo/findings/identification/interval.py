@@ -12,6 +12,7 @@ from hexservo.scenario.arrays import Array
 LEVEL = 0.95
 """Confidence of all intervals."""
 
+_WIDEST = 100.0  # ratio of the ends of an interval, beyond which the log does not determine a positive number
 _ZERO = 1e-13  # of eigenvalues of a matrix whose diagonal is 1
 _LAGS = 200  # samples over which residuals may be correlated
 
@@ -37,6 +38,18 @@ class Interval:
     def around(cls, value: float, sigma: float) -> Interval:
         """Return the interval of a normal estimate with this standard deviation."""
         return cls(float(value), float(value - half_width(sigma)), float(value + half_width(sigma)))
+
+    @classmethod
+    def of_logarithm(cls, value: float, sigma: float) -> Interval:
+        """Return the interval of a positive number whose logarithm has this standard deviation."""
+        factor = float(np.exp(min(half_width(sigma), _WIDEST)))
+        return cls(value, value / factor, value * factor).determined()
+
+    def determined(self) -> Interval:
+        """Return the same of a positive number, open at both ends where the log does not determine it."""
+        low = self.low if np.isfinite(self.low) else self.value
+        high = self.high if np.isfinite(self.high) else self.value
+        return self if high <= _WIDEST * low else Interval(self.value, -np.inf, np.inf)
 
     def opened(self, lowest: float, highest: float) -> Interval:
         """Return the interval of a value that was searched from `lowest` to `highest`: open where it reaches an end."""
