@@ -97,6 +97,53 @@ def test_bandwidth_and_damping_are_keys_together_or_not_at_all(slow_legs: tuple[
         assert pair["damping"] / (np.pi * pair["bandwidth"]) == pytest.approx(0.25, rel=1e-5)
 
 
+def with_fits(found: Drives, **changed: list[Any]) -> Drives:
+    """The same drives with other numbers of the six legs, taken from the first that moved."""
+    one = found.moved[0]
+    fits = [replace(one, leg=leg + 1, **{name: values[leg] for name, values in changed.items()}) for leg in range(6)]
+    return replace(found, fits=tuple(fits))
+
+
+def test_best_fits_that_agree_stand_for_what_no_leg_determines_by_itself(slow_legs: tuple[Log, Drives]) -> None:
+    """As of soft legs that the platform couples; where they do not agree, or are at an edge, the keys are left."""
+    log, slow = slow_legs
+    open_ended = [Interval(value, -np.inf, np.inf) for value in (1.72, 1.76, 1.78, 1.81, 1.84, 1.89)]
+    lags = [Interval(value, -np.inf, np.inf) for value in (0.110, 0.119, 0.121, 0.141, 0.146, 0.146)]
+    agreeing = with_fits(slow, bandwidth=open_ended, damping=open_ended, lag=lags)
+    changes = changes_of(log, agreeing, None)
+    found = [changes[f"actuators.position.{name}"] for name in ("bandwidth", "damping")]
+    assert found[0] == pytest.approx(np.exp(np.mean(np.log([one.value for one in open_ended]))), rel=1e-5)
+    assert found[1] / (np.pi * found[0]) == pytest.approx(
+        np.exp(np.mean(np.log([lag.value for lag in lags]))), rel=1e-5
+    )
+    assert any("best fits, 0.13" in sentence and "agree" in sentence for sentence in agreeing.section().sentences)
+    apart = [*lags[:-1], Interval(0.2, -np.inf, np.inf)]
+    for unlike in (
+        with_fits(slow, bandwidth=open_ended, damping=open_ended, lag=apart),
+        with_fits(slow, bandwidth=open_ended, damping=open_ended, lag=lags, at_edge=[True] * 3 + [False] * 3),
+    ):
+        assert "actuators.position.bandwidth" not in changes_of(log, unlike, None)
+        assert any("are left as they are" in sentence for sentence in unlike.section().sentences)
+
+
+def test_no_key_is_taken_from_legs_of_which_little_is_predicted(slow_legs: tuple[Log, Drives]) -> None:
+    log, slow = slow_legs
+    bandwidths = [Interval(8.0, 7.9, 8.1)] * 5 + [Interval(2.0, 1.99, 2.01)]
+    damping = [Interval(1.0, 0.9, 1.1)] * 6
+
+    def with_shares(*explained: float) -> Drives:
+        return with_fits(slow, bandwidth=bandwidths, damping=damping, explained=list(explained))
+
+    found = with_shares(0.9, 0.9, 0.8, 0.7, 0.6, 0.4)
+    assert changes_of(log, found, None)["actuators.position.bandwidth"] == pytest.approx(8.0)
+    section = found.section()
+    assert section.verdict == "warning"
+    assert any("Less than half of the motion of leg 6 is predicted" in sentence for sentence in section.sentences)
+    for useless in (with_shares(0.9, 0.9, 0.9, 0.9, 0.9, -0.1), with_shares(0.9, 0.9, 0.9, 0.4, 0.4, 0.4)):
+        assert not any(key.startswith("actuators") for key in changes_of(log, useless, None))
+        assert useless.section().verdict == "bad"
+
+
 def test_the_lag_of_a_fast_leg_at_an_edge_is_not_determined() -> None:
     """Its true bandwidth may be beyond what is searched, and the lag of that is shorter."""
     random = np.random.default_rng(SEED)

@@ -84,14 +84,14 @@ def in_whole_ticks(log: Log, machine: Scenario, changes: Mapping[str, Any]) -> d
 
 def _of_drives(drives: Drives, step: float) -> dict[str, Any]:
     changes: dict[str, Any] = {}
-    delay = round(float(np.median([fit.delay.value for fit in drives.moved if fit.delay is not None])))
+    delay = round(float(np.median([fit.delay.value for fit in drives.taken if fit.delay is not None])))
     if delay < MOST_DELAY:  # at which the true one may be longer
         changes["actuators.delay"] = _whole(delay * step, step)
     if (response := response_of(drives)) is not None:
         changes |= {"actuators.position.bandwidth": _digits(response.bandwidth)}
         changes |= {"actuators.position.damping": _digits(response.damping)}
     for name in ("speed_limit", "acceleration_limit"):
-        limit = mean_of([getattr(fit, name) for fit in drives.moved])
+        limit = mean_of([getattr(fit, name) for fit in drives.taken])
         changes[f"actuators.position.{name}"] = None if limit is None else _digits(limit)  # None: no limit
     return changes
 

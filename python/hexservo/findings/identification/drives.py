@@ -26,6 +26,9 @@ from hexservo.scenario.leg_units import LegUnits
 MOST_DELAY = _core.MAX_ACTUATOR_DELAY  # [ticks]
 """Most ticks of delay, as `actuators.delay` has it."""
 
+MAJORITY = 4
+"""Legs of which a value is known, for a scenario to have it."""
+
 _BANDWIDTHS = 9  # of a coarse grid, from 1/400 of the fastest that ticks show
 _DAMPINGS = (0.35, 0.8, 1.6)
 _LIMITS = ((False, False), (True, False), (False, True), (True, True))  # of speed and acceleration: which act
@@ -55,6 +58,7 @@ class DriveFit:
     explained: float | None  # share of the variance of the part kept apart that is predicted, 1: all; None: rests there
     rests: Rests | None = None  # how far from its command friction leaves it; None where the log has too few rests
     lag: Interval | None = None  # 2 zeta/omega [s], of a leg with a slow pole all that a log determines; None as above
+    at_edge: bool = False  # the best fit is at an edge of what is searched: its lag is no estimate
 
     @property
     def response_is_known(self) -> bool:
@@ -87,10 +91,26 @@ class Drives(Part):
         return self.fits[min(judged)[1] - 1] if judged else None
 
     @property
+    def taken(self) -> list[DriveFit]:
+        """The drives that keys are taken from: those of which the model predicts half of the motion."""
+        return [fit for fit in self.moved if fit.explained is None or fit.explained >= LEAST_EXPLAINED]
+
+    @property
     def explains(self) -> bool:
-        """Whether the model is of these legs at all, as far as the part kept apart shows it."""
+        """Whether the model is of these legs at all, as far as the part kept apart shows it.
+
+        It predicts half of the motion of enough legs, and something of each: where it predicts nothing of a leg, that
+        one does not do what it is commanded.
+        """
         worst = self.worst
-        return worst is None or worst.explained is None or worst.explained >= LEAST_EXPLAINED
+        if worst is None or worst.explained is None:
+            return True
+        return worst.explained > 0.0 and are_enough(len(self.taken), len(self.moved))
+
+
+def are_enough(known: int, moved: int) -> bool:
+    """Whether a scenario, which has one drive for all legs, may have what is known of some that moved."""
+    return known > 0 and (known == moved or known >= MAJORITY)
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,6 +270,7 @@ def _described(record: _Record, leg: int, models: Sequence[_Model]) -> tuple[Dri
             correlated=best.correlated,
             explained=record.explained(predicted),
             rests=record.rests,
+            at_edge=best.at_edge,
         ),
         predicted,
     )
@@ -305,8 +326,12 @@ class _Model:
         """
         bandwidth, damping = (float(value) for value in self.values[:2])
         found = Interval.of_logarithm(damping / (np.pi * bandwidth), self.sigma_of_lag)
+        return Interval(found.value, -np.inf, np.inf) if self.at_edge else found
+
+    @property
+    def at_edge(self) -> bool:
         inside = all(low < self.values[index] < high for index in (0, 1) for low, high in [self._within(index)])
-        return found if inside or damping > 1.0 else Interval(found.value, -np.inf, np.inf)
+        return not inside and float(self.values[1]) <= 1.0
 
     def _within(self, index: int) -> tuple[float, float]:
         """Return the ends of what is searched, but for rounding."""

@@ -10,7 +10,7 @@ import numpy as np
 from hexservo.findings.evidence import Cell, Column, Curves, Line, Section, Table, Verdict
 from hexservo.findings.identification.drives import MOST_DELAY, DriveFit, Drives
 from hexservo.findings.identification.interval import Interval
-from hexservo.findings.identification.one_drive import Response, response_of
+from hexservo.findings.identification.one_drive import AGREEMENT, Response, response_of
 from hexservo.scenario.wording import below, number
 
 PAGE = "docs/identification.md"
@@ -125,8 +125,14 @@ def _sentences(found: Drives) -> list[str]:
         words.append(f"Not commanded to move by more than their noise, or at rest, and not identified: {still}.")
     if not found.explains:
         return words
+    if poor := [fit for fit in moved if fit not in found.taken]:
+        words.append(
+            f"Less than half of the motion of {_legs(poor)} is predicted: no key is taken from "
+            f"{'it' if len(poor) == 1 else 'them'}. Legs that the platform couples, such as soft ones, answer each "
+            "other's commands; `--motors` fits motors and platform together."
+        )
     words += _of_the_edges(found)
-    bandwidths = [fit.bandwidth.value for fit in moved if fit.bandwidth is not None and fit.response_is_known]
+    bandwidths = [fit.bandwidth.value for fit in found.taken if fit.bandwidth is not None and fit.response_is_known]
     if max(bandwidths, default=0.0) > _ALIKE * min(bandwidths, default=0.0):
         words.append(
             f"The legs differ: bandwidths from {number(min(bandwidths))} to {number(max(bandwidths))} Hz. A "
@@ -185,7 +191,7 @@ def _of_the_edges(found: Drives) -> list[str]:
             "that is tried and that a scenario has. Where that is the best value the key `actuators.delay` is left as "
             "it is; bandwidth and damping then take what is missing of it. A log with longer ticks shows longer delays."
         )
-    doubtful = [fit for fit in found.moved if not fit.response_is_known]
+    doubtful = [fit for fit in found.taken if not fit.response_is_known]
     slow = [fit for fit in doubtful if fit.lag is not None and fit.lag.is_bounded]
     unknown = [fit for fit in doubtful if fit not in slow]
     if slow:
@@ -209,6 +215,12 @@ def _of_the_keys(response: Response | None) -> str:
         return f"{keys} are left as they are."
     if response.lag is None:
         return f"{keys} are of the other legs."
+    if response.by_agreement:
+        return (
+            f"{keys}, {number(response.bandwidth)} Hz and {number(response.damping)}, are of the mean lag of the legs' "
+            f"best fits, {number(response.lag)} s, which agree within a factor of {AGREEMENT}; one leg alone "
+            "determines none."
+        )
     return (
         f"{keys}, {number(response.bandwidth)} Hz and {number(response.damping)}, only stand for the mean lag of "
         f"{number(response.lag)} s: the log does not tell them from other pairs with that lag."

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hexservo.findings.identification.drives import Drives
+from hexservo.findings.identification.drives import MAJORITY, DriveFit, Drives, are_enough
 from hexservo.findings.identification.interval import Interval
 
 __all__ = ["Response", "mean_of", "response_of"]
 
-_MAJORITY = 4  # legs of which a value is known, for the scenario to have it
+
+AGREEMENT = 1.5
+"""Ratio of the lags of legs that agree."""
 
 
 @dataclass(frozen=True)
@@ -22,21 +24,31 @@ class Response:
     bandwidth: float  # [Hz]
     damping: float  # [1]
     lag: float | None  # 2 zeta/omega [s] that they stand for where the log determines no more; else None
+    by_agreement: bool = False  # the legs' logs determine not even that one by one, but their best fits agree
 
 
 def response_of(drives: Drives) -> Response | None:
     """Return the pair of the legs whose pair is known, or else one with the lag of the legs whose lag is known.
 
-    None where neither is known of four legs, or of all that moved.
+    Enough are four legs, or all that keys are taken from (`Drives.taken`). Where neither is known of enough legs one by
+    one, it is the mean of their best fits if these agree, and None if they do not.
     """
-    moved, known = drives.moved, [fit for fit in drives.moved if fit.response_is_known]
-    if _are_enough(len(known), len(moved)):
+    moved, known = drives.taken, [fit for fit in drives.taken if fit.response_is_known]
+    if are_enough(len(known), len(moved)):
         bandwidth, damping = mean_of([fit.bandwidth for fit in known]), mean_of([fit.damping for fit in known])
         return None if bandwidth is None or damping is None else Response(bandwidth, damping, None)
-    if (lag := mean_of([fit.lag for fit in moved])) is None:
+    if (lag := mean_of([fit.lag for fit in moved])) is not None:
+        return _with_lag(lag, [fit for fit in moved if fit.lag is not None and fit.lag.is_bounded])
+    best = [fit for fit in moved if not fit.at_edge]
+    lags = [fit.lag.value for fit in best if fit.lag is not None]
+    if len(lags) < MAJORITY or max(lags) > AGREEMENT * min(lags):
         return None
-    alike = [fit.bandwidth.value for fit in moved if fit.bandwidth and fit.lag is not None and fit.lag.is_bounded]
-    middle = float(np.exp(np.mean(np.log(alike))))
+    return replace(_with_lag(float(np.exp(np.mean(np.log(lags)))), best), by_agreement=True)
+
+
+def _with_lag(lag: float, fits: Sequence[DriveFit]) -> Response:
+    """Return the pair with a lag [s] at the middle of the legs' bandwidths."""
+    middle = float(np.exp(np.mean([np.log(fit.bandwidth.value) for fit in fits if fit.bandwidth is not None])))
     return Response(middle, np.pi * middle * lag, lag)
 
 
@@ -46,20 +58,16 @@ def mean_of(found: Sequence[Interval | None]) -> float | None:
     Parameters
     ----------
     found
-        Of the legs that moved.
+        Of the legs that keys are taken from.
 
     Returns
     -------
     float or None
-        None where it is known of fewer than four legs, and not of all that moved.
+        None where it is known of fewer than four legs, and not of all.
     """
     known = [one for one in found if one is not None and one.is_bounded]
-    if not _are_enough(len(known), len(found)):
+    if not are_enough(len(known), len(found)):
         return None
     values = np.log([one.value for one in known])
     sigma = np.maximum(np.log([one.high for one in known]) - values, 1e-9)
     return float(np.exp((values / sigma**2).sum() / (1.0 / sigma**2).sum()))
-
-
-def _are_enough(known: int, moved: int) -> bool:
-    return known > 0 and (known == moved or known >= _MAJORITY)
