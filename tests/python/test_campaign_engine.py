@@ -187,7 +187,7 @@ KILLER = """
     from pathlib import Path
     import pyarrow.parquet
     import hexservo as hs
-        from hexservo.campaigns.plan import load_plan
+    from hexservo.campaigns.plan import load_plan
     file, out, seed, kills = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3]), int(sys.argv[4])
     random, killed, died = random.Random(seed), 0, 0
     plan = load_plan(file)

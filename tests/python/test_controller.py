@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 import hexservo as hs
 from hexservo import _core
@@ -14,9 +15,16 @@ from hexservo.scenario.laws import LAWS
 from hexservo.scenario.parameters import core_parameters
 
 GRAVITY = np.array([0.0, 0.0, -0.06 * 9.8, 0.0, 0.0, 0.0])
-INERTIA = np.array([0.06, 0.06, 0.06, 1.5e-4, 1.5e-4, 3e-4])
-DAMPING = 2.0 * 100.0 * INERTIA  # of the brake, critical at 100 rad/s
+INERTIA = np.array([1.5e-4, 1.5e-4, 3e-4])  # about E's axes
+BRAKE = 100.0  # [rad/s], of the brake's critically damped response
 ARGUMENTS = ("features", "depth", "position", "quaternion", "twist")
+
+
+def damping(given: dict[str, Any]) -> NDArray[np.float64]:
+    """2 w D chi-dot of a platform whose mass is centred in E, with its inertia turned into B."""
+    velocity, omega = np.split(np.asarray(given["twist"]), 2)
+    attitude = Rotation.from_quat(np.roll(given["quaternion"], -1)).as_matrix()
+    return 2.0 * BRAKE * np.concatenate([0.06 * velocity, attitude * INERTIA @ attitude.T @ omega])
 
 
 @pytest.fixture
@@ -132,7 +140,7 @@ def test_invalid_measurements_give_the_safe_output(
     robot = _core.Hexapod(core_parameters(paper).robot)
     given = good_input(paper)
     brakes = name in ("features", "depth")  # pose and twist are known
-    expected = GRAVITY - DAMPING * given["twist"] if brakes else GRAVITY
+    expected = GRAVITY - damping(given) if brakes else GRAVITY
     known: tuple[ArrayLike, ArrayLike] = (given["position"], given["quaternion"])
     home: tuple[ArrayLike, ArrayLike] = ((0.0, 0.0, -0.15), (1.0, 0.0, 0.0, 0.0))
     poses = [known if brakes else home, known]  # where pose or twist is not known: the last pose that was
@@ -217,7 +225,7 @@ def test_the_status_says_why_the_law_does_not_act(paper: hs.Scenario, law: str) 
     ):
         out = controller.step(**bad, now=1.001 + 1e-3 * tick)
         assert (out.invalid_input, out.status) == (True, status)
-        np.testing.assert_allclose(out.wrench[3:], (GRAVITY - DAMPING * given["twist"])[3:], rtol=0, atol=1e-15)
+        np.testing.assert_allclose(out.wrench[3:], (GRAVITY - damping(given))[3:], rtol=0, atol=1e-15)
         assert np.isfinite(out.leg_forces).all()
     assert controller.step(**part, now=1.01).status == "stale_image"  # one point is older than the timeout
     assert controller.step(**given, now=1.011).status == "valid"

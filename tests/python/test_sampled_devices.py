@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import hexservo as hs
 
@@ -378,15 +379,17 @@ def test_a_feature_that_leaves_the_image_is_held_or_predicted_or_ends_the_run(pa
     [
         name
         for name in hs.scenario_names()
-        if hs.load_scenario(name).simulation.mode == "sampled" and hs.load_scenario(name).actuators.kind == "force"
+        if hs.load_scenario(name).simulation.mode == "sampled"
+        and hs.load_scenario(name).actuators.kind == "force"
+        and name != "fails-saturation"  # whose legs cannot carry the platform
     ],
 )
 def test_without_an_image_every_packaged_machine_that_takes_forces_stays_where_it_starts(name: str) -> None:
-    """The brake holds it against errors of its weight, and encoders' steps do not excite it."""
+    """The brake holds it against errors of its weight and the steps of its encoders, on a road too."""
     short = {"simulation.duration": 0.5, "simulation.log_every": 1, "metrics.rms_start": 0.0, "metrics.dwell": 0.1}
     scenario = hs.load_scenario(name).updated({"camera.dropout": 1.0, **short})
     run = hs.simulate(scenario)
     assert run.outcome == "completed", run.detail
-    late = run.time > 0.25
-    assert np.abs(run.twist[late]).max() < 5e-3, np.abs(run.twist[late]).max(axis=0)
+    turns = Rotation.from_quat(np.roll(run.quaternion, -1, axis=1))
     assert np.abs(run.position - run.position[0]).max() < 1e-3
+    assert (turns * turns[0].inv()).magnitude().max() < 5e-3

@@ -26,7 +26,7 @@
 #include <type_traits>
 
 #if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__)
-#error "hexservo needs numbers that are not finite to be told: compile without -ffast-math and -ffinite-math-only"
+#error "hexservo checks for numbers that are not finite: compile without -ffast-math and -ffinite-math-only"
 #endif
 
 namespace hexservo {

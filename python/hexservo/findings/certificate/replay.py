@@ -30,6 +30,10 @@ _SAMPLES = {
 }
 _OF_END = {"fuzzy_weights": "N or N m", "end_time": "s", "streamed_metrics": "", "events": "", "outcome": ""}
 _COMPARED = {"time": "s", **_SAMPLES, **_OF_END}  # all but `detail`, the sentence about the outcome
+_REPLAYED = (
+    *("time", "features", "feature_error", "depth", "position", "quaternion", "twist"),
+    *("wrench", "fuzzy_output", "leg_forces"),
+)
 _ROUNDING = 1e-9  # of a quantity's largest value
 
 
@@ -150,7 +154,7 @@ def replay_of(
     return Replay(
         scenario=scenario,
         own=own,
-        **{name: getattr(run, name)[:count] for name in ("time", "features", *_COMPARED, "leg_forces")},
+        **{name: getattr(run, name)[:count] for name in _REPLAYED},
         weights=None if run.weight_history is None else run.weight_history[:count],
         differences={},
         only_rounding=True,
