@@ -129,7 +129,7 @@ def log_of(seed: int) -> tuple[Log, Array, Array]:
 def test_friction_no_longer_bends_the_response(monkeypatch: pytest.MonkeyPatch) -> None:
     """Bandwidths and dampings are found to 1 %, and the part kept apart is predicted; without friction they are not."""
     log, bandwidth, damping = log_of(101)
-    found = fit_drives(log, METRES)
+    found = fit_drives(log, METRES, delays=(0, 1))
     for leg, fit in enumerate(found.fits):
         assert fit.rests is not None
         assert fit.bandwidth is not None
@@ -141,7 +141,7 @@ def test_friction_no_longer_bends_the_response(monkeypatch: pytest.MonkeyPatch) 
     (sentence,) = (words for words in found.section().sentences if "as friction leaves it" in words)
     assert "mm short of its command" in sentence
     monkeypatch.setattr("hexservo.findings.identification.drives.with_friction", lambda commands, *_: commands)
-    bent = fit_drives(log, METRES)
+    bent = fit_drives(log, METRES, delays=(0, 1))
     assert max(abs(fit.bandwidth.value / bandwidth[fit.leg - 1] - 1) for fit in bent.fits if fit.bandwidth) > 0.1
     assert min(fit.explained for fit in bent.fits if fit.explained is not None) < 0.99
 
