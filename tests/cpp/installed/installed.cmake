@@ -65,19 +65,18 @@ if(PROCESSOR MATCHES "^(x86_64|AMD64|amd64)$" AND NOT CXX_FLAGS MATCHES "-m(arch
        "  const auto gains = hexservo::controller_gains<hexservo::Hybrid>({}, 1e-3);\n"
        "  return hexservo::initial_state(gains).last_pose.position(0) > 0.0;\n"
        "}\n")
-  run("${CMAKE_COMMAND}" -S "${work}/other_flags" -B "${work}/other_flags/build" -G "${GENERATOR}" ${shared}
-      "-DCMAKE_CXX_FLAGS=${CXX_FLAGS} -mavx")
-  execute_process(COMMAND "${CMAKE_COMMAND}" --build "${work}/other_flags/build" RESULT_VARIABLE code
-                  OUTPUT_VARIABLE output ERROR_VARIABLE output)
-  if(code EQUAL 0 OR NOT output MATCHES "library_was_built_with_other_instruction_set_flags")
-    message(FATAL_ERROR "expected a link error that tells of other flags, got ${code}:\n${output}")
-  endif()
+  # A program with other flags than the library's is refused, in words that tell why.
+  function(expect_refusal flags message)
+    string(MAKE_C_IDENTIFIER "${flags}" name)
+    run("${CMAKE_COMMAND}" -S "${work}/other_flags" -B "${work}/other_flags/${name}" -G "${GENERATOR}" ${shared}
+        "-DCMAKE_CXX_FLAGS=${CXX_FLAGS} ${flags}")
+    execute_process(COMMAND "${CMAKE_COMMAND}" --build "${work}/other_flags/${name}" RESULT_VARIABLE code
+                    OUTPUT_VARIABLE output ERROR_VARIABLE output)
+    if(code EQUAL 0 OR NOT output MATCHES "${message}")
+      message(FATAL_ERROR "${flags}: expected \"${message}\", got ${code}:\n${output}")
+    endif()
+  endfunction()
+  expect_refusal("-mavx" "library_was_built_with_other_instruction_set_flags")
   # Inline functions of the headers are shared with the library: nothing may remove their checks for NaN.
-  run("${CMAKE_COMMAND}" -S "${work}/other_flags" -B "${work}/other_flags/fast" -G "${GENERATOR}" ${shared}
-      "-DCMAKE_CXX_FLAGS=${CXX_FLAGS} -ffast-math -Wfatal-errors")
-  execute_process(COMMAND "${CMAKE_COMMAND}" --build "${work}/other_flags/fast" RESULT_VARIABLE code
-                  OUTPUT_VARIABLE output ERROR_VARIABLE output)
-  if(code EQUAL 0 OR NOT output MATCHES "compile without -ffast-math")
-    message(FATAL_ERROR "expected -ffast-math to be refused, got ${code}:\n${output}")
-  endif()
+  expect_refusal("-ffast-math -Wfatal-errors" "compile without -ffast-math")
 endif()
