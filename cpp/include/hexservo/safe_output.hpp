@@ -6,8 +6,7 @@
 ///
 /// K_s and K_h are diagonal as given, and multiples of D-bar where they are derived: with its diagonal alone the brake
 /// of a platform whose centre of mass is far off E's origin is unstable. chi_stop is the pose of the first tick of the
-/// stretch. Where pose or twist are not known either, tau = G, with the
-/// leg forces of the last pose that was.
+/// stretch. Where pose or twist are not known either, tau = G, with the leg forces of the last pose that was.
 #pragma once
 
 #include "hexservo/commanded_motion.hpp"

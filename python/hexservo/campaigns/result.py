@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,7 +21,7 @@ from hexservo.scenario.arrays import Array
 from hexservo.scenario.fields import described
 from hexservo.scenario.rules import did_you_mean
 from hexservo.scenario.scenario import Scenario, load_scenario, scenario_names
-from hexservo.scenario.wording import quoted, whole_number, wrong_type
+from hexservo.scenario.wording import quoted, several_names, whole_number
 from hexservo.scenario.yaml import ScenarioError
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ class CampaignResult(Findings):
         ValueError
             For a name that no column has.
         """
-        names = _names_of_columns(columns)
+        names = None if columns is None else several_names("columns", columns, "names of columns, or None")
         plan, record = read_plan(self.folder)
         if record["campaign"] != self.summary["campaign"]:
             raise ResultError(
@@ -203,18 +203,6 @@ def load_campaign(folder: str | os.PathLike[str]) -> CampaignResult:
         tally.add(tally_of(table, plan.require, plan.scenario.simulation.duration))
         index += 1
     return CampaignResult(store.folder, plan, summary_of(plan, record, tally))
-
-
-def _names_of_columns(columns: Any) -> list[str] | None:
-    if columns is None:
-        return None
-    if isinstance(columns, str | bytes) or not isinstance(columns, Iterable):
-        raise wrong_type("columns", "names of columns, or None", columns)
-    names = list(columns)
-    for name in names:
-        if not isinstance(name, str):
-            raise wrong_type("columns", "names of columns, or None", name)
-    return names
 
 
 def _selected(table: pa.Table, names: list[str]) -> pa.Table:

@@ -68,7 +68,7 @@ def _of_switching(scene: Scene) -> Iterator[str]:
     axis_by_axis = controller.switching.kind == "implicit" and controller.traits.switching
     if not axis_by_axis or not np.any(scene.settings[f"controller.{controller.law}.kv"]):
         return
-    inertia = _core.Probe(scene.settings).inertia(scene.home.rows.quaternion)[0]
+    inertia = scene.probe.inertia(scene.home.rows.quaternion)[0]
     factor = float(np.abs(np.linalg.eigvals(np.eye(6) - np.linalg.solve(inertia, np.diag(np.diag(inertia))))).max())
     if factor >= 1.0:
         yield (

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from hexservo.scenario.leg_units import unit_of
 from hexservo.scenario.rules import did_you_mean
-from hexservo.scenario.wording import number, wrong_type
+from hexservo.scenario.wording import number, several_names, wrong_type
 
 if TYPE_CHECKING:
     from hexservo.run.result import Result
@@ -65,15 +65,11 @@ def asked_metrics(names: Any) -> tuple[str, ...]:
     """
     if isinstance(names, str) and names == "all":
         return tuple(METRICS)
-    if isinstance(names, str | bytes) or not isinstance(names, Iterable):
-        raise wrong_type("metrics", '"all" or names of hs.METRICS', names)
-    asked = list(names)
+    wanted = '"all" or names of hs.METRICS'
+    asked = several_names("metrics", names, wanted)
     for name in asked:
-        if not isinstance(name, str):
-            raise wrong_type("metrics", '"all" or names of hs.METRICS', name)
         if name not in METRICS:
-            hint = did_you_mean(name, METRICS)
-            raise ValueError(f'metrics: expected "all" or names of hs.METRICS, got "{name}"{hint}')
+            raise ValueError(f'metrics: expected {wanted}, got "{name}"{did_you_mean(name, METRICS)}')
     return tuple(name for name in METRICS if name in asked)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import decimal
 import operator
+from collections.abc import Iterable
 
 
 def number(value: float, digits: int = 3) -> str:
@@ -54,6 +55,23 @@ def quoted(text: str) -> str:
 def wrong_type(name: str, expected: str, got: object) -> TypeError:
     """Return the error for an argument of another type: "name: expected ..., got int"."""
     return TypeError(f"{name}: expected {expected}, got {type(got).__name__}")
+
+
+def several_names(name: str, value: object, expected: str) -> list[str]:
+    """Return an argument that is several names; one text by itself is none of them.
+
+    Raises
+    ------
+    TypeError
+        For anything else; `expected` is what the caller accepts.
+    """
+    if isinstance(value, str | bytes) or not isinstance(value, Iterable):
+        raise wrong_type(name, expected, value)
+    names = list(value)
+    for one in names:
+        if not isinstance(one, str):
+            raise wrong_type(name, expected, one)
+    return names
 
 
 def whole_number(name: str, value: object, at_least: int, at_most: int | None = None, kind: str = "an integer") -> int:

@@ -70,19 +70,19 @@ struct ComputedTorque : StatelessLaw<ComputedTorqueGains> {
   static void off_centre(const ControlTask<S, N>& task, const Constants<S, N>& gains, const LawInput<S, N>& input,
                          const Vector6<S>& pose_error, const Vector6<S>& wanted, Evaluation<S>& out,
                          const Listener& listener) noexcept {
-    const Matrix6<S> D = mass_matrix(task.body, input.R_BE), C = coriolis_matrix(task.body, input.R_BE, input.twist);
-    const auto times = [](const Matrix6<S>& A, const Vector6<S>& x) {
-      Vector6<S> y = Vector6<S>::Zero();
-      for (int j = 0; j < 6; ++j)
-        for (int i = 0; i < 6; ++i) y(i) += A(i, j) * x(j);
-      return y;
+    const auto inertial = [&](const Vector6<S>& acceleration) {
+      return inertial_wrench(task.body, input.R_BE, acceleration);
     };
-    out.wrench = task.gravity_wrench + times(D, wanted) + times(C, input.twist);
+    const Matrix6<S> C = coriolis_matrix(task.body, input.R_BE, input.twist);
+    Vector6<S> coriolis = Vector6<S>::Zero();
+    for (int j = 0; j < 6; ++j)
+      for (int i = 0; i < 6; ++i) coriolis(i) += C(i, j) * input.twist(j);
+    out.wrench = task.gravity_wrench + inertial(wanted) + coriolis;
     task.add_weight_moment(input.R_BE, out.wrench);
     listener.pose_error([&] { return pose_error; });
-    listener.part(LawPart::damping, [&] { return times(D, Vector6<S>(-gains.kd.cwiseProduct(input.twist))); });
-    listener.part(LawPart::pose_spring, [&] { return times(D, Vector6<S>(gains.kp.cwiseProduct(pose_error))); });
-    listener.part(LawPart::coriolis_feedforward, [&] { return times(C, input.twist); });
+    listener.part(LawPart::damping, [&] { return inertial(-gains.kd.cwiseProduct(input.twist)); });
+    listener.part(LawPart::pose_spring, [&] { return inertial(gains.kp.cwiseProduct(pose_error)); });
+    listener.part(LawPart::coriolis_feedforward, [&] { return coriolis; });
   }
 };
 

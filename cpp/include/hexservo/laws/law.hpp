@@ -93,8 +93,8 @@ struct LawInput {
 template <class S>
 Vector6<S> coupled_friction(const Matrix6<S>& D, const S& period, const Vector6<S>& twist, const Vector6<S>& k,
                             const Vector6<S>& F) {
-  constexpr int kSweeps =
-      30;  // two suffice for machines of public sources; for inertias of 1:50 thirty leave some for the next period
+  // Two suffice for machines of public sources; of inertias of 1:50 thirty leave some for the next period.
+  constexpr int kSweeps = 30;
   constexpr double kResidual = 1e-9;  // of the bounds
   const Cholesky<S, 6> solver(D);
   Matrix6<S> A;  // T_c D^-1

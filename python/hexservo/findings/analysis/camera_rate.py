@@ -41,7 +41,8 @@ from hexservo.scenario.yaml import ScenarioError
 
 NEARLY = 0.05
 """A run on each side of the border is this far from it, relative to it; of whole ticks the nearest, at least one."""
-_OF_GROWTH = 0.2  # of a predicted growth: what a measured one may differ from it
+OF_GROWTH = 0.2
+"""Share of a predicted growth that a measured one may differ from it."""
 _KEYS: tuple[Literal["period", "latency"], ...] = ("period", "latency")
 SMALL_OFFSET = 1e-6
 """Taken where 0.01 px is already too much for a loop to be linear [px]."""
@@ -65,8 +66,8 @@ class BorderRun:
 
     @property
     def grows_as_predicted(self) -> bool:
-        """Whether its growth is within 20 % of the predicted one."""
-        return abs(self.measured - self.predicted) <= _OF_GROWTH * abs(self.predicted)
+        """Whether its growth is within `OF_GROWTH` of the predicted one."""
+        return abs(self.measured - self.predicted) <= OF_GROWTH * abs(self.predicted)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hexservo.findings.analysis.camera_margins import LARGEST_FACTOR, Border, Margins
-from hexservo.findings.analysis.camera_rate import CameraRate
+from hexservo.findings.analysis.camera_rate import OF_GROWTH, CameraRate
 from hexservo.findings.analysis.linear_loop import Clock
 from hexservo.findings.analysis.loop_of_scenario import OFFSET as START
 from hexservo.findings.analysis.loop_of_scenario import LoopAtRest, proportional_gains
@@ -284,7 +284,8 @@ def _about_runs(result: CameraRate) -> list[str]:
     side = f", {100 * inside.apart:g} % on either side of the predicted one" if inside.key == "gain" else ""
     text += f" The stability limit lies between these two runs{side}."
     if not (inside.grows_as_predicted and outside.grows_as_predicted):
-        text += " Their growth is not within 20 % of the predicted: it has the predicted sign, and another size."
+        share = f"{100 * OF_GROWTH:g} %"
+        text += f" Their growth is not within {share} of the predicted: it has the predicted sign, and another size."
     return [text]
 
 

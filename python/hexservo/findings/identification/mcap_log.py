@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hexservo import _core
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.rules import MOST_POINTS
 from hexservo.scenario.yaml import ScenarioError
 
 if TYPE_CHECKING:
@@ -25,7 +25,6 @@ __all__ = ["COMMANDS", "FEATURES", "JOINTS", "MAX_CHUNK", "MAX_MESSAGE", "Record
 COMMANDS, JOINTS, FEATURES = "/commands", "/joints", "/features"
 MAX_CHUNK = 64_000_000  # bytes of a chunk after decompression, and of any other record
 MAX_MESSAGE = 100_000  # bytes of a message of these topics
-_MOST_POINTS = _core.MOST_POINTS
 _MOST_TIME = 1e12  # [s]
 # Footer and magic, after which the library stops reading: closes what is read of a chunk.
 _CLOSING = struct.pack("<BQQQI", 2, 20, 0, 0, 0) + b"\x89MCAP0\r\n"
@@ -191,8 +190,8 @@ def _parsed(topic: str, count: int, logged: int, data: bytes, source: str) -> _M
         raise ScenarioError(f"{where}: expected a JSON object, got something else ({len(data)} bytes)", source)
     values: Any = content.get("features" if topic == FEATURES else "positions")
     if topic == FEATURES:
-        wanted = f'"features": a list of 2 numbers for each of 1 to {_MOST_POINTS} points'
-        fits = isinstance(values, list) and len(values) % 2 == 0 and 2 <= len(values) <= 2 * _MOST_POINTS
+        wanted = f'"features": a list of 2 numbers for each of 1 to {MOST_POINTS} points'
+        fits = isinstance(values, list) and len(values) % 2 == 0 and 2 <= len(values) <= 2 * MOST_POINTS
     else:
         wanted = '"positions": a list of 6 numbers'
         fits = isinstance(values, list) and len(values) == 6
