@@ -563,6 +563,7 @@ def comes_to_rest(scenario: hs.Scenario, random: np.random.Generator, offset: fl
     return True if share < 0.05 else False if share > 0.5 else None
 
 
+@pytest.mark.slow
 def test_the_verdict_is_that_of_runs_from_small_starts(capsys: pytest.CaptureFixture[str]) -> None:
     """Random loops: the verdict agrees with runs of another size and direction, more often than the linear loop."""
     judged = linear = follows = 0

@@ -91,6 +91,7 @@ def test_the_reach_of_the_axes_follows_the_symmetry_of_the_legs(found: workspace
     assert found.least_turn.distance <= min(distance[6:]) * 1.05
 
 
+@pytest.mark.slow
 def test_a_long_stroke_ends_at_singular_poses() -> None:
     """A turn by 90 deg about z makes the legs of two similar joint circles singular: Fichter's pose."""
     scenario = hs.load_scenario("textbook-general")

@@ -242,6 +242,7 @@ def test_a_histogram_has_every_tick() -> None:
 # ---- Ratios ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_batch_outruns_the_plain_loop(paper: hs.Scenario) -> None:
     kernels = {name: load_kernel(name) for name in available_variants()}
     plan = module.Plan(rounds=11, duration=0.5, scenarios=32)
@@ -272,6 +273,7 @@ def test_metrics_that_nobody_asked_for_take_no_time(paper: hs.Scenario) -> None:
     pytest.fail(f"expected less than 0.98, got {ratio:.3f}")  # 0.87 measured with AVX-512 and with AVX2
 
 
+@pytest.mark.slow
 def test_one_run_outruns_numpy(tmp_path: Path) -> None:
     program = [sys.executable, str(ROOT / "benchmarks" / "peers" / "run.py"), "--quick"]
     run = subprocess.run(

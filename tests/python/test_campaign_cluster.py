@@ -93,7 +93,7 @@ def output_of_script(script: str, folder: Path, *more: str) -> list[str]:
     return run.stdout.splitlines()
 
 
-@pytest.mark.parametrize("more", [(), ("shared",)])
+@pytest.mark.parametrize("more", [(), pytest.param(("shared",), marks=pytest.mark.slow)])
 def test_a_killed_worker_changes_nothing(more: tuple[str, ...], whole: Path, tmp_path: Path) -> None:
     assert output_of_script(LOST_WORKER, tmp_path, *more) == ["1000 True []"]
     assert digest_of(tmp_path / "out") == digest_of(whole)

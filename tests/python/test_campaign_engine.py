@@ -438,6 +438,7 @@ def test_a_run_that_is_no_scenario_is_named(tmp_path: Path) -> None:
     assert os.listdir(tmp_path / "out" / "chunks") == []  # noqa: PTH208
 
 
+@pytest.mark.slow
 def test_ctrl_c_at_any_moment_leaves_a_summary_of_what_is_kept(tmp_path: Path) -> None:
     """Each call of the progress function is a different moment."""
     for moment in range(1, 40, 4):

@@ -166,6 +166,7 @@ def test_the_page_states_what_the_summary_states(result: hs.CampaignResult) -> N
     assert not re.search(r"<(?:script|link|img)[^>]+(?:src|href)=.https?:", page)
 
 
+@pytest.mark.slow
 def test_every_picture_is_a_file_too(result: hs.CampaignResult, more: tuple[Section, ...]) -> None:
     hs.write_campaign_report(result, more, pictures=True)
     folder = result.folder / "pictures"
@@ -194,6 +195,7 @@ def test_anything_but_a_campaign_is_refused() -> None:
         hs.write_campaign_report(None)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_the_bars_are_the_indices(more: tuple[Section, ...]) -> None:
     section = more[-1]
     (bars,) = (item for item in section.items if isinstance(item, Bars))

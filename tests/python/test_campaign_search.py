@@ -51,6 +51,7 @@ def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_killed_search_goes_on_to_the_same_gains(uninterrupted: Path, tmp_path: Path) -> None:
     """kill -9 at random moments, until a process ends by itself."""
     choice = random.Random(20261122)
@@ -71,6 +72,7 @@ def test_a_killed_search_goes_on_to_the_same_gains(uninterrupted: Path, tmp_path
     assert results_of(out) == results_of(uninterrupted)
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_what_was_simulated(uninterrupted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupt(done: int, count: int) -> None:
         if done == 3:
@@ -260,6 +262,7 @@ def test_what_is_not_dominated() -> None:
 # ---- On a loop ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_front_of_two_metrics(tmp_path: Path) -> None:
     tune = SHORT["tune"] | {"minimise": ["settling_time", "peak_leg_force"], "over": "corners"}
     vary = {"uncertainty.gravity": {"uniform": [-0.05, 0.05]}, "uncertainty.depth": {"uniform": [-0.3, 0.3]}}
@@ -322,6 +325,7 @@ def test_the_delay_margin_is_that_of_the_analysis() -> None:
     assert math.isnan(delay_margin(scenario.updated({"controller.law": "hybrid"})))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("latency", [0.0, 0.1, 0.3, 0.5])
 def test_the_decay_rate_is_that_of_the_characteristic_equation(latency: float) -> None:
     """Computed torque without model errors: each axis is s^2 + k_d s exp(-s hold) + k_p exp(-s delay) = 0, whose
@@ -351,6 +355,7 @@ def test_the_decay_rate_is_that_of_the_characteristic_equation(latency: float) -
     assert math.isnan(decay_rate(scenario.updated({"controller.law": "hybrid"})))
 
 
+@pytest.mark.slow
 def test_a_required_delay_margin_holds(tmp_path: Path) -> None:
     """Without the requirement the search ends at gains whose margin is smaller by 20 ms."""
     scenario = hs.load_scenario("noisy-camera").updated(

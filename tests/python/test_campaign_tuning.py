@@ -69,6 +69,7 @@ def test_a_run_that_diverges_does_not_hide_the_others() -> None:
     assert ranking(violations, np.zeros(4)).tolist() == [2, 1, 3, 0]
 
 
+@pytest.mark.slow
 def test_tuned_gains_are_better_where_it_was_promised(tmp_path: Path) -> None:
     result = hs.tune(FILE, tmp_path / "out", generations=12, rounds=2, seed=4)
     print(f"seed 4: {result.section().sentences}")

@@ -76,6 +76,7 @@ def planted(seed: int, dimension: int = 6) -> tuple[Callable[[Array], Array], fl
     return margin, float(margin(corners).min())
 
 
+@pytest.mark.slow
 def test_a_planted_worst_case_is_found() -> None:
     """From the three worst of 300 random points, as a search begins from a campaign's worst runs."""
     found = []

@@ -364,6 +364,7 @@ def test_names_are_drawn_as_they_are_written(paper: hs.Scenario) -> None:
     assert all(text.startswith("$10^") for text, is_formula in drawn if is_formula)
 
 
+@pytest.mark.slow
 def test_no_texts_of_the_figure_overlap() -> None:
     """Neither words of the table, titles and labels of neighbours, nor ticks, with all scenarios that are packaged."""
     figure = hs.compare(list(hs.scenario_names()), None, {"simulation.duration": 0.02}).figure()

@@ -45,6 +45,7 @@ def test_it_is_the_loop_that_was_asked_for(scenario: hs.Scenario) -> None:
     assert scenario.target == hs.load_scenario("paper").target
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LIMITS)
 def test_every_corner_is_within_the_limits(name: str, report: corners.Report) -> None:
     assert report.corners[name].shape == (64,)
@@ -52,10 +53,12 @@ def test_every_corner_is_within_the_limits(name: str, report: corners.Report) ->
     assert 0 < report.worst[name] <= LIMITS[name]
 
 
+@pytest.mark.slow
 def test_no_pattern_drifts(report: corners.Report) -> None:
     assert report.worst["eigenvalue"] >= 0.05
 
 
+@pytest.mark.slow
 def test_the_check_knows_the_same_limits(report: corners.Report) -> None:
     assert {name: rule.limit / rule.scale for name, rule in corners.REQUIREMENTS.items()} == pytest.approx(
         {**LIMITS, "eigenvalue": 0.05}, rel=1e-12
@@ -67,6 +70,7 @@ def test_the_check_knows_the_same_limits(report: corners.Report) -> None:
     assert corners.table(late).count("NOT MET") == 2
 
 
+@pytest.mark.slow
 def test_a_single_run_agrees(scenario: hs.Scenario, report: corners.Report) -> None:
     """The scenario as it is packaged is one of the corners: same inertia, same gravity, depth +-++."""
     row = int(np.flatnonzero((corners.CORNERS == [1, 1, 1, -1, 1, 1]).all(axis=1))[0])
@@ -144,6 +148,7 @@ def test_the_file_of_the_search_is_for_the_same_loop(scenario: hs.Scenario) -> N
     np.testing.assert_allclose(bounds, np.stack([-magnitudes, magnitudes], axis=1), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_the_command(
     scenario: hs.Scenario, report: corners.Report, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -376,6 +376,7 @@ hs.certify_batch(paper, {"uncertainty.depth": [0.0, 0.1]}, progress=True)
 """
 
 
+@pytest.mark.slow
 def test_in_a_real_notebook_there_is_html_and_no_warning() -> None:
     """A Jupyter kernel without ipywidgets, for which rich's own progress bar asks with a warning."""
     nbformat = pytest.importorskip("nbformat")

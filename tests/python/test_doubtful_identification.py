@@ -23,6 +23,7 @@ from recorded_machines import Drive, record, wandering
 from test_identification import METRES, SEED, seen_log
 
 
+@pytest.mark.slow
 def test_a_delay_beyond_what_is_tried_has_no_upper_end(paper: hs.Scenario) -> None:
     random = np.random.default_rng(SEED)
     commands = 0.205 + wandering(random, 200, 0.01, 0.004, 0.2)
@@ -41,6 +42,7 @@ def test_a_delay_beyond_what_is_tried_has_no_upper_end(paper: hs.Scenario) -> No
     assert "as the log does" not in found.sections()[-1].sentences[0]
 
 
+@pytest.mark.slow
 def test_a_bandwidth_beyond_what_is_searched_has_no_upper_end() -> None:
     """A drive that is at its command after a tick: any bandwidth from some on is it."""
     random = np.random.default_rng(SEED)
@@ -192,6 +194,7 @@ def test_diagnose_names_what_the_log_does_not_give(paper: hs.Scenario, tmp_path:
     assert "no key of the drives is taken over" in done.stderr
 
 
+@pytest.mark.slow
 def test_a_leg_that_rests_in_the_part_kept_apart_is_not_judged_there() -> None:
     """What is predicted is stated of the legs that move there alone, and rounded down."""
     random = np.random.default_rng(SEED)

@@ -24,9 +24,9 @@ SEED = 20261122
 TRIALS = {
     "runs": 60,
     "certify": 15,
-    "analyse": 30,
-    "diagnose": 24,
-    "batch": 25,
+    "analyse": 12,
+    "diagnose": 10,
+    "batch": 10,
     "ticks": 40,
     "results": 250,
     "special": 60,
@@ -82,6 +82,7 @@ def test_writing_is_interrupted_at_lines_all_over(
 # ---- What the generator covers --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_scenarios_with_every_key_and_at_every_bound_are_drawn_and_accepted() -> None:
     """A key that is added to the schema is drawn too, or this fails."""
     # the largest seed as it is: its float is one more
@@ -105,6 +106,7 @@ def test_scenarios_with_every_key_and_at_every_bound_are_drawn_and_accepted() ->
 # ---- What the campaign of batches rests on --------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_difference_that_rounding_does_not_explain_is_noticed(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

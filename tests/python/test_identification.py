@@ -113,6 +113,7 @@ def least(share: float, count: int) -> float:
     return share - 4 * float(np.sqrt(share * (1 - share) / count))
 
 
+@pytest.mark.slow
 def test_intervals_contain_the_true_values_of_random_drives() -> None:
     shares = coverage(random_logs(3, limited=False))
     assert all(share >= least(0.95, 18) for share in shares.values()), shares
@@ -163,6 +164,7 @@ def test_a_leg_that_does_not_follow_is_not_identified() -> None:
     assert within(found.fits[0].bandwidth, 5.0)
 
 
+@pytest.mark.slow
 def test_friction_widens_the_intervals_and_is_named() -> None:
     """A dead zone of the drive, which the model lacks: what it leaves is correlated, and the prediction is worse."""
     random = np.random.default_rng(SEED)

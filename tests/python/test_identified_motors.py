@@ -38,7 +38,8 @@ def given(machine: hs.Scenario) -> hs.Scenario:
     return machine.updated({"actuators.kind": "position", "actuators.delay": 0.0, "simulation.substeps": 1, **usual})
 
 
-@pytest.mark.parametrize("kind", ["prismatic", pytest.param("rotary", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["prismatic", "rotary"])
 def test_motors_are_found_from_a_log_of_mujoco(paper: hs.Scenario, kind: str) -> None:
     """To 3 % and the delay; they predict the rest of the record ten times as well as six responses by themselves."""
     machine = machine_of(paper, kind)
@@ -87,6 +88,7 @@ def test_intervals_of_motors_contain_the_true_values(paper: hs.Scenario) -> None
     assert kept >= 13
 
 
+@pytest.mark.slow
 def test_a_delay_of_motors_beyond_what_is_tried_is_no_key(paper: hs.Scenario) -> None:
     machine = on_motors(paper, MOTOR, **(SAMPLED | {"actuators__delay": MOST_DELAY * TICK}))
     settings = core_parameters(machine)
@@ -108,6 +110,7 @@ def test_a_delay_of_motors_beyond_what_is_tried_is_no_key(paper: hs.Scenario) ->
     assert not any(key.startswith("actuators.motor") for key in changes)
 
 
+@pytest.mark.slow
 def test_delays_are_tried_on_to_the_best_one(paper: hs.Scenario) -> None:
     """From drives whose delay is 2 ticks too long, so that the best one is below all that are tried at first."""
     machine = machine_of(paper, "prismatic")

@@ -103,7 +103,7 @@ CASES: dict[str, tuple[dict[str, float], dict[str, Any]]] = {
 }
 
 
-SLOW_IN_MUJOCO = {("rotary", "stiff"), ("rotary", "heavy rotors")}  # `friction` and `at the limit` have both
+SLOW_IN_MUJOCO = {("rotary", case) for case in CASES if case != "friction"}  # which is stiff and has heavy rotors
 
 
 @pytest.mark.usefixtures("baseline")
@@ -311,9 +311,9 @@ def test_a_controller_does_not_know_the_motors(paper: hs.Scenario) -> None:
 @pytest.mark.parametrize(
     ("cause", "motor"),
     [
-        ("motors", {"kp": 20.0, "kv": 0.02}),
+        pytest.param("motors", {"kp": 20.0, "kv": 0.02}, marks=pytest.mark.slow),
         pytest.param("motors", {"kp": 20.0, "kv": 1.0, "friction": 0.001}, marks=pytest.mark.slow),
-        ("stick_slip", {**STIFF, "friction": 15.0}),
+        pytest.param("stick_slip", {**STIFF, "friction": 15.0}, marks=pytest.mark.slow),
     ],
 )
 def test_motors_that_fail_are_diagnosed(cause: str, motor: dict[str, float]) -> None:

@@ -467,6 +467,7 @@ def heights(sampled: hs.Scenario, roughness: str, seed: int, time: Array) -> Arr
     return -_core.Probe(core_parameters(scenario)).base_motion(time)[0][:, 2]
 
 
+@pytest.mark.slow
 def test_a_road_has_the_spectrum_of_its_class(sampled: hs.Scenario) -> None:
     """G(f) = G_d(f/v)/v, G_d(n) = G_d(0.1) (n/0.1)^-2, of class C.
 

@@ -17,12 +17,9 @@ PAGE = ROOT / "docs" / "position-machines.md"
 NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e-?\d+)?")
 
 
-def blocks(sections: int | None = None) -> list[tuple[str, str]]:
-    """Code of the page, or of its first numbered sections."""
-    page = PAGE.read_text(encoding="utf-8")
-    if sections is not None:
-        page = page.partition(f"\n## {sections + 1}. ")[0]
-    return re.findall(r"```(sh|text|yaml)\n(.*?)```", page, re.DOTALL)
+def blocks() -> list[tuple[str, str]]:
+    """Code of the page."""
+    return re.findall(r"```(sh|text|yaml)\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
 
 
 def output_of(line: str, folder: Path) -> str:
@@ -47,11 +44,10 @@ def alike(written: str, printed: str) -> bool:
     return all(float(a) == pytest.approx(float(b), rel=0.1, abs=0.01) for a, b in pairs)
 
 
-@pytest.mark.parametrize("sections", [2, pytest.param(None, marks=pytest.mark.slow)], ids=["first", "all"])
-def test_commands_of_the_page_run(tmp_path: Path, sections: int | None) -> None:
-    """The first sections always, all of them where there is a minute."""
+@pytest.mark.slow
+def test_commands_of_the_page_run(tmp_path: Path) -> None:
     printed: list[str] = []
-    for kind, text in blocks(sections):
+    for kind, text in blocks():
         if kind == "yaml":
             name = re.match(r"# ([\w-]+\.yaml)\n", text)
             assert name, text
@@ -67,4 +63,4 @@ def test_numbers_are_compared_with_a_tolerance() -> None:
     assert alike("camera.latency 0.2 0.033", "  camera.latency   0.201  0.033  ")
     assert not alike("camera.latency 0.2 0.033", "camera.latency 0.3 0.033")
     assert not alike("settling time 1.5 s", "settled time 1.5 s")
-    assert (len(blocks()), len(blocks(2))) == (16, 4)
+    assert len(blocks()) == 16

@@ -105,6 +105,7 @@ def test_the_command_writes_all_numbers(
     assert all(ratio["value"] > 0.0 for ratio in content["ratios"])
 
 
+@pytest.mark.slow
 def test_ratios_of_processor_time_hold(ratios: ModuleType) -> None:
     variants = ratios.measured_variants()
     if variants == ("baseline",):

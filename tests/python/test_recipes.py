@@ -235,6 +235,7 @@ def test_lengths_by_hand() -> None:
 '''
 
 
+@pytest.mark.slow
 def test_an_analysis_is_added_by_its_recipe(tree: Path) -> None:
     folder = tree / "python" / "hexservo" / "findings" / "analysis"
     (folder / "legs.py").write_text(LEGS.replace("DOCS", DOCS), encoding="utf-8")
@@ -286,6 +287,7 @@ def _exposure(case: Case) -> list[Removal]:
 """
 
 
+@pytest.mark.slow
 def test_a_cause_is_added_by_its_recipe(tree: Path) -> None:
     devices = tree / "python" / "hexservo" / "findings" / "diagnosis" / "devices.py"
     text = devices.read_text(encoding="utf-8")

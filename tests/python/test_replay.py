@@ -171,11 +171,30 @@ def rows(ticks: dict[str, NDArray[np.float64]], columns: dict[str, int]) -> NDAr
 pytestmark = pytest.mark.skipif(shutil.which("g++") is None, reason="needs g++, as building does")
 
 
-def test_an_exported_program_answers_as_the_simulated_controller_did(tmp_path: Path, library: Path) -> None:
+@pytest.mark.slow
+def test_every_exported_program_answers_as_the_simulated_controller_did(tmp_path: Path, library: Path) -> None:
     scenarios = list(sampled_scenarios())
     sampled = [name for name in hs.scenario_names() if hs.load_scenario(name).simulation.mode == "sampled"]
     assert len(scenarios) >= 0.9 * len(sampled) * len(LAWS)
     assert {f"{name}-{hs.load_scenario(name).controller.law}" for name in sampled} <= {s.name for s in scenarios}
+    acted, braked = replayed(scenarios, tmp_path, library)
+    assert acted > 10_000
+    assert braked > 100
+
+
+def test_an_exported_program_answers_as_the_simulated_controller_did(tmp_path: Path, library: Path) -> None:
+    """One scenario of each kind: every law, legs that take positions, dropouts, a lens, other numbers of points."""
+    kinds = {f"dropouts-{law}" for law in LAWS} | {"eye-to-hand-hybrid", "positions-composite", "tracking-True"}
+    kinds |= {"wrong-latency", "early-stamps", "points-3-hybrid", "points-16-composite"}
+    scenarios = [scenario for scenario in sampled_scenarios() if scenario.name in kinds]
+    assert {scenario.name for scenario in scenarios} == kinds
+    acted, braked = replayed(scenarios, tmp_path, library)
+    assert acted > 5_000
+    assert braked > 20
+
+
+def replayed(scenarios: list[hs.Scenario], tmp_path: Path, library: Path) -> tuple[int, int]:
+    """Compare one program of all headers with the simulated controllers; return ticks of a law and of the brake."""
     headers, cases = [], []
     for index, scenario in enumerate(scenarios):
         text = gains_header(scenario)
@@ -196,8 +215,7 @@ def test_an_exported_program_answers_as_the_simulated_controller_did(tmp_path: P
         acted += int((ticks["status"] == 0).sum())
         braked += int((ticks["status"] != 0).sum())
     print(f"{len(scenarios)} runs: {acted} ticks of a law, {braked} of the safe output")
-    assert acted > 10_000
-    assert braked > 100
+    return acted, braked
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -346,6 +364,7 @@ GRID = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "changes"),
     [

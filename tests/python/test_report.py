@@ -888,6 +888,7 @@ def test_without_scripts_words_tables_and_the_still_picture_remain(visit: Callab
 PAGE_WIDTH, PAGE_HEIGHT = 688, 1016  # px of A4 within its margins
 
 
+@pytest.mark.slow
 @in_browser
 def test_it_prints_to_readable_pages(visit: Callable[..., Visit], tmp_path: Path) -> None:
     seen = visit(viewport=LAPTOP, color_scheme="dark")
@@ -908,6 +909,7 @@ def test_it_prints_to_readable_pages(visit: Callable[..., Visit], tmp_path: Path
         assert all(len(sheet.split()) > 10 for sheet in told.split("\f")[:pages])
 
 
+@pytest.mark.slow
 @in_browser
 def test_nothing_is_cut_on_paper(visit: Callable[..., Visit]) -> None:
     """What the printer gets, laid out on the width of a page: no chart is wider or taller than it."""

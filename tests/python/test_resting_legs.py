@@ -59,6 +59,7 @@ def drives(
     return commands, joints, edge, np.stack(free, axis=1)
 
 
+@pytest.mark.slow
 def test_legs_without_overshoot_rest_at_the_edge_of_their_friction() -> None:
     """The stated intervals contain f/w^2 in at least 90 % of legs."""
     commands, joints, edge, _ = drives(120, (1.0, 1.4))
@@ -83,6 +84,7 @@ def test_legs_that_overshoot_rest_within_their_friction() -> None:
         assert 0.3 * edge[leg] < rests.farthest < 2.0 * edge[leg]
 
 
+@pytest.mark.slow
 def test_legs_without_friction_rest_on_their_commands() -> None:
     """Intervals contain 0 in at least 90 %. Steps of an encoder are no friction, and a weight is none."""
     commands, _, _, free = drives(120, (0.6, 1.2))
@@ -126,6 +128,7 @@ def log_of(seed: int) -> tuple[Log, Array, Array]:
     return Log(np.asarray(PERIOD * np.arange(1500)), PERIOD, commands, joints, None), bandwidth, damping
 
 
+@pytest.mark.slow
 def test_friction_no_longer_bends_the_response(monkeypatch: pytest.MonkeyPatch) -> None:
     """Bandwidths and dampings are found to 1 %, and the part kept apart is predicted; without friction they are not."""
     log, bandwidth, damping = log_of(101)

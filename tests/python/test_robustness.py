@@ -555,6 +555,7 @@ SCENARIOS = st.fixed_dictionaries(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=120)  # the fuzzer goes on
 @given(SCENARIOS)
 def test_any_scenario_runs_or_is_refused(changes: dict[str, Any]) -> None:
@@ -599,6 +600,7 @@ def test_garbage_is_refused(garbage: Any) -> None:
         hs.Scenario.from_mapping(garbage)
 
 
+@pytest.mark.slow
 @settings(max_examples=300)
 @given(st.dictionaries(st.sampled_from(PATHS) | st.text(max_size=12), GARBAGE, max_size=3))
 def test_a_garbage_change_is_refused_or_leaves_a_scenario(changes: dict[str, Any]) -> None:

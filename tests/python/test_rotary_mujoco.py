@@ -99,6 +99,7 @@ def mujoco_state(robot: _core.RobotParameters, inertia: float, step: float = 2.5
     return np.concatenate([pose[:3], pose[3:] * np.sign(pose[3])]), np.array(data.qpos[:6])
 
 
+@pytest.mark.slow
 def test_the_motion_under_torques(robot: _core.RobotParameters) -> None:
     legs, body = hexapod(), _core.RigidBody()
     body.mass, body.inertia, body.gravity = robot.mass, robot.inertia, robot.gravity
@@ -138,7 +139,7 @@ def exact(changes: dict[str, Any]) -> hs.Scenario:
     return machine({**settings, **changes})
 
 
-@pytest.mark.parametrize(("gravity", "duration"), [(HANGING, 1.0), ({}, 0.3)])
+@pytest.mark.parametrize(("gravity", "duration"), [pytest.param(HANGING, 1.0, marks=pytest.mark.slow), ({}, 0.3)])
 def test_the_exported_model_moves_as_ours(gravity: dict[str, Any], duration: float) -> None:
     """Torques of a controlled run, held over each tick, move MuJoCo's cranks, rods and platform as ours."""
     run = hs.simulate(exact({**gravity, "simulation.duration": duration}))

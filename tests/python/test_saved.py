@@ -333,6 +333,7 @@ def test_the_damage_that_kept_hdf5_busy(content: bytes, tmp_path: Path) -> None:
         hs.load_result(tmp_path / "x.nc")
 
 
+@pytest.mark.slow
 def test_the_largest_scenario_is_read_back(tmp_path: Path) -> None:
     """Two recordings of the most samples, in the longest numbers that are written."""
     long = -1.2345678901234567e-100

@@ -523,10 +523,10 @@ SWAYING = {
     ("cause", "fault"),
     [
         ("lag_not_led", {"lead": 0.0}),
-        ("lag_not_led", {"lead": 4.0}),
+        pytest.param("lag_not_led", {"lead": 4.0}, marks=pytest.mark.slow),
         ("target_filter", {"certainty": 500.0}),
-        ("target_filter", {"noise": 500.0}),
-        ("target_filter", {"jump": 1e-3}),
+        pytest.param("target_filter", {"noise": 500.0}, marks=pytest.mark.slow),
+        pytest.param("target_filter", {"jump": 1e-3}, marks=pytest.mark.slow),
     ],
 )
 def test_settings_that_do_not_suit_the_target_are_diagnosed(cause: str, fault: dict[str, float]) -> None:

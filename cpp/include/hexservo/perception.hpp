@@ -425,8 +425,10 @@ class Perception {
       good = good & ((!here) | usable(sensing, i, x, y, depth));
     }
     Eigen::Matrix<S, 3, N> points_T;
+    Mask<S> covered = arrived;  // by the poses that are kept: an older frame is of no use, as one older than the newest
     if (lifts_points(sensing.frames)) {
       const Pose<S> pose = history_.at(min(frame.exposure, S(input.now)));
+      covered = covered & is_finite(S(pose.position.sum()));
       const Matrix3<S> R_BE = rotation_matrix(pose.quaternion);
       for (int i = 0; i < N; ++i) {
         points_T.col(i) = lift<S>(sensing.camera, pose.position, R_BE, frame.image.features.template segment<2>(2 * i),
@@ -434,8 +436,8 @@ class Perception {
         good = good & ((!shown[static_cast<std::size_t>(i)]) | is_finite(Vector3<S>(points_T.col(i))));
       }
     }
-    now_.usable = now_.usable & (good | (!arrived));
-    const Mask<S> taken = arrived & good;
+    now_.usable = now_.usable & (good | (!covered));
+    const Mask<S> taken = covered & good;
     now_.newest = select(taken, frame.exposure, now_.newest);
     for (int i = 0; i < N; ++i) {
       const Mask<S> seen = taken & shown[static_cast<std::size_t>(i)];

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.keys import value_at
@@ -128,6 +127,8 @@ def on_pinhole(scenario: Scenario) -> Scenario:
     """
     if not has_pixels(scenario.camera) and not has_camera_wrong(scenario):
         return scenario
+    from scipy.spatial.transform import Rotation  # here, since half of the time of a first run would be its import
+
     settings = core_parameters(scenario)
     camera = settings.camera
     changes: dict[str, Any] = dict(zip(WRONG_CAMERA, (0.0, [0.0, 0.0]), strict=True))
