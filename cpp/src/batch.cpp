@@ -156,8 +156,11 @@ void require_one_grid(const std::vector<Group>& groups) {
   }
 }
 
+/// Outcome, cause and leg of a run: a byte each, and the names that Python makes of two of them.
+inline constexpr double kOutcomeBytes = 3.0 + 4.0 * (13 + 14);
+
 void require_memory(std::size_t count, std::size_t rows, int points, BatchLog log) {
-  const double per_scenario = 3.0 + 8.0 * (2.0 + kMetricNumbers + static_cast<double>(rows) * sample_numbers(points) +
+  const double per_scenario = kOutcomeBytes + 8.0 * (2.0 + kMetricNumbers + static_cast<double>(rows) * sample_numbers(points) +
                                            (log == BatchLog::metrics ? 0.0 : kWeightNumbers));
   const double bytes = per_scenario * static_cast<double>(count);
   if (bytes <= kMaxBatchBytes) return;

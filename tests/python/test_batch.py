@@ -209,7 +209,7 @@ def rows_of(scenario: hs.Scenario, key: str) -> list[NDArray[np.float64]]:
             "simulation.step": [1.0, 0.5, 2.0],
             "simulation.duration": [1.0, 0.5, 2.0],
             "simulation.log_every": [1.0, 2.0, 3.0],
-            "robot.limits_every": [1.0, 7.0, 1000.0],
+            "robot.limits_every": [1.0, 7.0, 10.0],
             "controller.hybrid.fuzzy.bell_slope": [1.0, 1.5, 0.75],
             "controller.composite.fuzzy.bell_slope": [1.0, 1.5, 0.75],
             "metrics.band": [1.0, 20.0, 10.0],
@@ -642,6 +642,15 @@ def test_a_dataset_shares_no_memory_with_the_batch(smooth: hs.Scenario, log: Log
 def test_bad_variations_are_refused_with_a_message(paper: hs.Scenario, variations: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         hs.simulate_batch(paper, variations)
+
+
+def test_a_gain_without_effect_is_refused_in_every_row() -> None:
+    scenario, key = hs.load_scenario("reachy-mini"), "controller.resolved_rate.ki"
+    default = list(scenario.controller.gains.ki)
+    hs.simulate_batch(scenario.updated({"simulation.duration": 1.1}), {key: [default, default]}, log="metrics")
+    for rows, index in (([default, default, [7.0] * 6], 2), ([[7.0] * 6, default], 0)):
+        with pytest.raises(hs.ScenarioError, match=rf"^scenario {index}: {key}: has no effect where"):
+            hs.simulate_batch(scenario, {key: rows})
 
 
 def test_bad_arguments_are_refused_with_a_message(paper: hs.Scenario) -> None:

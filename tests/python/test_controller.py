@@ -241,6 +241,34 @@ def test_the_status_says_why_the_law_does_not_act(paper: hs.Scenario, law: str) 
     assert forgiving.step(**given, now=1e9, exposure=0.0).status == "valid"  # no timeout: any image
 
 
+@pytest.mark.parametrize("prediction", ["none", "encoder"])
+def test_a_frame_that_is_older_than_the_kept_poses_is_not_used(paper: hs.Scenario, prediction: str) -> None:
+    """Where points are predicted; such a frame, as one that is older than the newest, changes nothing."""
+    camera = {"period": 0.033, "latency": 0.033, "prediction": prediction}
+    scenario = paper.updated({"simulation.mode": "sampled", "camera": camera})
+    given = good_input(paper)
+    joints = {name: given[name] for name in ("position", "quaternion", "twist")}
+    other, same = hs.Controller(scenario), hs.Controller(scenario)
+    for tick in range(200):
+        for controller in (other, same):
+            assert controller.step(**joints, now=1e-3 * tick).status == "missing_image"
+    late = other.step(**given, now=0.2, exposure=0.1)
+    none = same.step(**joints, now=0.2)
+    if prediction == "none":
+        assert late.status == "valid"
+        return
+    assert late.status == none.status == "missing_image"
+    for tick in range(201, 260):
+        frame = {"exposure": 1e-3 * tick - 0.033} if tick == 205 else {}
+        frame |= {name: given[name] for name in ("features", "depth")} if frame else {}
+        late, none = (controller.step(**joints, **frame, now=1e-3 * tick) for controller in (other, same))
+        if tick == 230:
+            late = other.step(**given, now=1e-3 * tick + 5e-4, exposure=0.1)
+            none = same.step(**joints, now=1e-3 * tick + 5e-4)
+        assert late.status == none.status == ("valid" if tick >= 205 else "missing_image")
+        np.testing.assert_array_equal(late.wrench, none.wrench)
+
+
 def test_leg_lengths_stand_for_pose_and_twist(paper: hs.Scenario) -> None:
     scenario = paper.updated({"simulation.mode": "sampled", "sensors": {"pose": "encoders", "period": 2e-3}})
     robot = _core.Hexapod(core_parameters(scenario).robot)

@@ -457,6 +457,21 @@ def test_auto_that_fits_nothing_has_no_effect(paper: hs.Scenario) -> None:
     given = paper.updated({"controller.law": "kelly", "controller.kelly": {"kp": 2e-6, "kd": 2.0}})
     (sentence,) = keys_without_effect(with_auto(given, "kelly", 5.0))
     assert sentence.startswith("controller.kelly.auto.bandwidth: has no effect here; it acts only where one of kp, kd")
+
+
+def test_a_bandwidth_of_legs_that_follow_twists_acts_on_what_they_follow() -> None:
+    """Of `reachy-mini` the gain is given, and neither the integral nor what adapts the gain has an effect."""
+    scenario, block = hs.load_scenario("reachy-mini"), "controller.resolved_rate"
+    fitted = scenario.updated({f"{block}.auto.bandwidth": 2.0})
+    notes = [note for note in keys_without_effect(fitted) if note.startswith(f"{block}.auto")]
+    assert notes == [
+        f"{block}.auto.bandwidth: has no effect here; it acts only where one of gain, gain_far, gain_slope, ki acts "
+        "and is not given"
+    ]
+    with pytest.raises(hs.ScenarioError, match=r"\.ki: has no effect where actuators\.kind is not force"):
+        fitted.updated({f"{block}.ki": 7.0})
+    free = fitted.updated({f"{block}.gain": None})
+    assert not [note for note in keys_without_effect(free) if note.startswith(f"{block}.auto")]
     (sentence,) = keys_without_effect(paper.updated({"controller.hybrid.auto.damping": 2.0}))
     assert sentence.endswith("it acts only with controller.hybrid.auto.bandwidth")
     assert keys_without_effect(with_auto(paper, "kelly", 5.0)) == []

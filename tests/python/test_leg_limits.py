@@ -176,6 +176,13 @@ def test_limits_are_looked_at_in_every_so_many_steps(short: hs.Scenario, free: d
         np.testing.assert_allclose(batch.samples["leg_forces"][index], whole.leg_forces[-1], rtol=1e-9, atol=1e-9)
 
 
+def test_a_run_without_a_second_look_is_refused(machine: hs.Scenario) -> None:
+    steps = round(machine.simulation.duration / machine.simulation.step)
+    assert machine.updated({"robot.limits_every": steps}).robot.limits_every == steps
+    with pytest.raises(hs.ScenarioError, match=rf"robot.limits_every: expected at most the {steps} steps of the run"):
+        machine.updated({"robot.limits_every": steps + 1})
+
+
 def test_stop_comes_at_the_first_look(machine: hs.Scenario) -> None:
     values = peaks(hs.simulate(machine))["speed"].max(axis=1)
     stop = machine.updated({"robot.speed_limit": 0.6 * float(values.max()), "robot.on_limit": "stop"})

@@ -328,24 +328,29 @@ def _of_auto(law: str) -> tuple[_Condition, _Condition]:
     def fits(scenario: Scenario) -> bool:
         if scenario.controller.law != law or auto_of(scenario).bandwidth is None:
             return True
-        return len(chosen_keys(scenario)) < len(fitted_keys(law))
+        follow = set(fitted_keys(law)).difference(chosen_keys(scenario), scenario.idle_gains)
+        return bool(follow if _adapts(scenario, law) else follow.difference(_ADAPTIVE))
 
     def has_bandwidth(scenario: Scenario) -> bool:
         return scenario.controller.law != law or auto_of(scenario).bandwidth is not None
 
     return (
-        _Condition((block,), fits, f"only where one of {', '.join(fitted_keys(law))} is not given"),
+        _Condition((block,), fits, f"only where one of {', '.join(fitted_keys(law))} acts and is not given"),
         _Condition((f"{block}.damping",), has_bandwidth, f"only with {block}.bandwidth"),
     )
 
 
+_ADAPTIVE = ("gain_far", "gain_slope")
+
+
+def _adapts(scenario: Scenario, law: str) -> bool:
+    return scenario.controller.law != law or getattr(scenario.controller.gains, "adaptive", True) is True
+
+
 def _of_adaptive_gain(law: str) -> _Condition:
     block = f"controller.{law}"
-
-    def adapts(scenario: Scenario) -> bool:
-        return scenario.controller.law != law or value_at(scenario, f"{block}.adaptive") is True
-
-    return _Condition((f"{block}.gain_far", f"{block}.gain_slope"), adapts, f"only with {block}.adaptive: true")
+    keys = tuple(f"{block}.{name}" for name in _ADAPTIVE)
+    return _Condition(keys, lambda scenario: _adapts(scenario, law), f"only with {block}.adaptive: true")
 
 
 def _of_motion(block: str, keys: str, kind: str) -> _Condition:

@@ -58,11 +58,15 @@ def checked_variations(scenario: Scenario, variations: Mapping[str, ArrayLike]) 
                     f"{key}: expected a robot whose {side} joints are on a circle, got one with robot.{side}_joints: "
                     "give it both keys by Scenario.updated first"
                 )
-    # The first scenario, checked as a whole: what the other keys of its block allow.
-    try:
-        scenario.updated(changes_of_run(arrays, law))
-    except ScenarioError as error:
-        raise ScenarioError([f"scenario 0: {problem}" for problem in error.problems]) from None
+    # The first scenario, checked as a whole: what the other keys of its block allow. Of gains, which may be refused for
+    # their value alone, each that differs from the first.
+    gains = [values for key, values in arrays.items() if key.rpartition(".")[2] in scenario.idle_gains]
+    others = {int(np.argmax(np.any(values != values[:1], axis=tuple(range(1, values.ndim))))) for values in gains}
+    for index in sorted({0} | others):
+        try:
+            scenario.updated(changes_of_run(arrays, law, index))
+        except ScenarioError as error:
+            raise ScenarioError([f"scenario {index}: {problem}" for problem in error.problems]) from None
     return arrays
 
 

@@ -480,8 +480,13 @@ class Blocks(Block):
 
     @property
     def legs_follow_twists(self) -> bool:
-        """Whether legs follow the law's twist by themselves: what would make a wrench of it (`ki`) has no effect."""
+        """Whether legs follow the law's twist by themselves: what would make a wrench of it has no effect."""
         return self.actuators.takes_positions and self.controller.traits.output == "twist"
+
+    @property
+    def idle_gains(self) -> frozenset[str]:
+        """Names of the law's gains that have no effect on the machine; all but their defaults are refused."""
+        return frozenset({"ki"} if self.legs_follow_twists else ())
 
 
 @cache

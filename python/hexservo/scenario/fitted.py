@@ -336,8 +336,8 @@ def gains_written(scenario: Blocks) -> dict[str, Any]:
         return {}
     law = scenario.controller.law
     own = getattr(scenario.controller, law)
-    idle = {"ki"} if scenario.legs_follow_twists else set()  # without effect there, and refused where it is written
-    gains = {f"controller.{law}.{path}": attrgetter(path)(own) for path in fitted_keys(law) if path not in idle}
+    acting = [path for path in fitted_keys(law) if path not in scenario.idle_gains]
+    gains = {f"controller.{law}.{path}": attrgetter(path)(own) for path in acting}
     return {f"controller.{law}.auto.bandwidth": None, **gains}
 
 

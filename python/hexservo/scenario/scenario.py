@@ -19,7 +19,7 @@ from pydantic import ValidationError, model_validator
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.blocks import DEFAULT_DEPTH, DEFAULT_PRESET, Blocks, preset_values
 from hexservo.scenario.core_defaults import core_default
-from hexservo.scenario.fitted import with_fitted_gains, without_fitted_gains
+from hexservo.scenario.fitted import chosen_keys, with_fitted_gains, without_fitted_gains
 from hexservo.scenario.keys import sampled_keys, value_at, without_effect
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.placing import read_motion, read_target
@@ -86,11 +86,9 @@ class Scenario(Blocks):
 
     def _refuse_keys_without_effect(self) -> None:
         if self.simulation.mode == SAMPLED_MODE:
-            gains = self.controller.gains
-            own = self.legs_follow_twists and gains.auto.bandwidth is None
-            if own and gains.ki != type(gains)().ki:
+            for key in self.idle_gains.intersection(chosen_keys(self)):
                 raise ValueError(
-                    f"controller.{self.controller.law}.ki: has no effect where actuators.kind is not force, since the "
+                    f"controller.{self.controller.law}.{key}: has no effect where actuators.kind is not force, since the "
                     "legs follow the commanded twist by themselves; drop it"
                 )
             return

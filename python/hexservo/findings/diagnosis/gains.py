@@ -95,15 +95,9 @@ def default_gains(scenario: Scenario) -> dict[str, Any]:
     return found
 
 
-def idle_gains(scenario: Scenario) -> frozenset[str]:
-    """Return the names of gains that have no effect on the machine; the scenario refuses all but their defaults."""
-    return frozenset({"ki"} if scenario.legs_follow_twists else ())
-
-
 def _acting(scenario: Scenario, names: Iterable[str]) -> list[str]:
     """Return those of some names or dotted keys that have an effect."""
-    idle = idle_gains(scenario)
-    return [name for name in names if name.rpartition(".")[2] not in idle]
+    return [name for name in names if name.rpartition(".")[2] not in scenario.idle_gains]
 
 
 def _scaled(path: str, block: Any, powers: dict[str, float], rate: float) -> dict[str, Any]:

@@ -22,7 +22,6 @@ from hexservo.findings.diagnosis.environment import (
     unknown_payload,
     unusual,
 )
-from hexservo.findings.diagnosis.gains import idle_gains
 from hexservo.findings.diagnosis.goal import goal_of, obstacle_of
 from hexservo.findings.diagnosis.model import Case, Cause, Removal
 from hexservo.findings.diagnosis.runs import Run, run_all
@@ -275,7 +274,7 @@ def controls(case: Case) -> list[dict[str, Any]]:
     numbers = {
         f"controller.{law}.{name}": getattr(block, name)
         for name in ("kp", "kt", "kd", "ki", "kv", "gain")
-        if hasattr(block, name) and name not in idle_gains(scenario)
+        if hasattr(block, name) and name not in scenario.idle_gains
     }
     numbers |= {f"uncertainty.{name}": getattr(scenario.uncertainty, name) for name in ("gravity", "depth", "coriolis")}
     for _ in range(_SEEDS):
