@@ -17,6 +17,7 @@ import hexservo as hs
 from camera_frames import PICTURE, picture
 from hexservo import _core
 from hexservo.campaigns.loop_numbers import delay_margin
+from hexservo.run.export import gains_header
 from hexservo.scenario.laws import LAWS
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.pixels import desired_features, on_pinhole, to_features, to_pixels
@@ -464,10 +465,19 @@ def test_the_command_takes_a_calibration(tmp_path: Path, plain_camera: hs.Scenar
     found = CliRunner().invoke(app, ["run", str(file), "--camera", str(calibration), "--out", str(out)])
     assert found.exit_code == 0, found.output
     assert hs.load_result(next(out.glob("*.nc"))).scenario.camera == scenario.camera
-    for command in ("run", "check", "diagnose"):
-        missing = CliRunner().invoke(app, [command, str(file), "--camera", str(tmp_path / "none.yaml")])
-        assert missing.exit_code != 0
-        assert "none.yaml" in missing.stderr
+    alone = ("run", "show", "check", "certify", "analyse", "diagnose", "explore")
+    for command in (*alone, "report -o a.html", "export --header a.hpp", "compare --scenarios", "identify a.csv -m"):
+        missing = CliRunner().invoke(app, [*command.split(), str(file), "--camera", str(tmp_path / "none.yaml")])
+        assert missing.exit_code == 2
+        assert "none.yaml: cannot be read" in missing.stderr
+    shown = CliRunner().invoke(app, ["show", str(file), "--camera", str(calibration)])
+    header = tmp_path / "gains.hpp"
+    exported = CliRunner().invoke(app, ["export", str(file), "--camera", str(calibration), "--header", str(header)])
+    assert exported.exit_code == 0, exported.output
+    (tmp_path / "shown.yaml").write_text(shown.stdout, encoding="utf-8")
+    with_calibration = hs.load_scenario(tmp_path / "shown.yaml")
+    assert with_calibration.camera == scenario.camera
+    assert header.read_text(encoding="utf-8") == gains_header(with_calibration)
     checked = CliRunner().invoke(app, ["check", str(file), "--camera", str(calibration), "--set", "camera.dropout=1"])
     assert checked.exit_code == 0
     assert "no image arrives" in checked.stderr
