@@ -62,7 +62,8 @@ def frame_of(content: object, points: int, now: float) -> Frame | None:
     Parameters
     ----------
     content
-        ``{"features": [...], "depth": [...], "age": ...}`` or null.
+        ``{"features": [...], "depth": [...], "age": ...}`` or null. Both coordinates of a point that the image does not
+        show are null, and NaN in the frame.
     points
         Number of points of the target.
     now
@@ -80,16 +81,29 @@ def frame_of(content: object, points: int, now: float) -> Frame | None:
     age = float(numbers([content.get("age")], 1, "age")[0])
     if not 0.0 <= age <= _OLDEST:
         raise LinkError(f"age: expected 0 to {_OLDEST} s, got {age:.4g}")
-    features = numbers(content.get("features"), 2 * points, "features")
+    features = _features(content.get("features"), points)
     return Frame(features, numbers(content.get("depth"), points, "depth"), now - age)
 
 
+def _features(values: object, points: int) -> Array:
+    """Return the pixels of an image, (2p,), NaN for lost points."""
+    if isinstance(values, list):
+        lost = [value is None for value in values]
+        if lost[::2] == lost[1::2]:  # a point is lost with both coordinates
+            known = numbers([0.0 if value is None else value for value in values], 2 * points, "features")
+            return np.where(lost, np.nan, known)
+    raise LinkError(
+        f"features: expected x and y of {points} points, both null for a point that is lost, got something else"
+    )
+
+
 def report_of(found: tuple[Frame, float] | None) -> dict[str, object] | None:
-    """Return what a device reports of its newest image and its age."""
+    """Return what a device reports of its newest image and its age; JSON has no NaN."""
     if found is None:
         return None
     frame, age = found
-    return {"features": frame.features.tolist(), "depth": frame.depth.tolist(), "age": age}
+    features = [None if np.isnan(pixel) else pixel for pixel in frame.features.tolist()]
+    return {"features": features, "depth": frame.depth.tolist(), "age": age}
 
 
 class Camera:

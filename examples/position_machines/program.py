@@ -172,5 +172,8 @@ def _report(program: Program, options: argparse.Namespace, scenario: hs.Scenario
         return 0
     desired = np.array(scenario.target.desired_features)
     error = np.inf if last.features is None else float(np.abs(last.features - desired).max())
+    if np.isnan(error):
+        print(f"{program.name}: the last image lacks a point, so that it is not known whether the goal is reached")
+        return 1
     print(f"{program.name}: the last image is {error:.2f} px from the goal, wanted: {scenario.metrics.band:g} px")
     return 0 if error <= scenario.metrics.band else 1

@@ -43,7 +43,7 @@ Array: TypeAlias = NDArray[np.float64]
 class Frame:
     """An image."""
 
-    features: Array  # (2p,) pixels as the scenario's camera counts them [px]
+    features: Array  # (2p,) pixels as the scenario's camera counts them, NaN for points that are lost [px]
     depth: Array  # (p,) z in the camera's frame, negative in front of it [m]
     exposure: float  # [s]
 
@@ -154,7 +154,9 @@ def is_new(frame: Frame, before: Frame | None, period: float) -> bool:
     later = np.inf if before is None else frame.exposure - before.exposure
     if before is None or abs(later) > 0.5 * period:
         return bool(later > 0.0)
-    return not (np.array_equal(frame.features, before.features) and np.array_equal(frame.depth, before.depth))
+    return not (
+        np.array_equal(frame.features, before.features, equal_nan=True) and np.array_equal(frame.depth, before.depth)
+    )
 
 
 class LogFile:
@@ -178,7 +180,8 @@ class LogFile:
         image: list[str] = self._blank
         if reading.frame is not None and is_new(reading.frame, self._seen, self._period):
             self._seen = reading.frame
-            image = [*(f"{pixel:.6g}" for pixel in reading.frame.features), f"{now:.9g}"]
+            pixels = ("" if np.isnan(pixel) else f"{pixel:.6g}" for pixel in reading.frame.features)
+            image = [*pixels, f"{now:.9g}"]
         self._writer.writerow([f"{now:.9g}", *(f"{number:.9g}" for number in (*command, *reading.legs)), *image])
 
     def close(self) -> None:
@@ -266,17 +269,21 @@ def tracking(controller: hs.Controller, limits: Limits) -> Decision:
     """Return the decision of a law: where its controller sends the legs.
 
     Where it cannot act, the controller brakes; the loop goes on for `limits.invalid`, and for `limits.frame_age`
-    without an image. With `camera.latency_known: false` the law has no time of exposure, and finds the latency itself.
+    without an image that shows a point. With `camera.latency_known: false` the law has no time of exposure, and finds
+    the latency itself.
     """
     used: Frame | None = None  # that the controller has
     valid = 0.0
+    exposed = 0.0  # when the newest image was taken that shows a point
     stamped = controller.scenario.camera.latency_known
     period = frame_period(controller.scenario)
 
     def decide(now: float, reading: Reading) -> Array:
-        nonlocal used, valid
+        nonlocal used, valid, exposed
         frame = reading.frame
-        age = now - (0.0 if frame is None else frame.exposure)
+        if frame is not None and np.isfinite(frame.features).any():
+            exposed = frame.exposure
+        age = now - exposed
         if age > limits.frame_age:
             raise Stop(f"the newest image is {age:.3f} s old, expected at most {limits.frame_age} s")
         image: dict[str, object] = {}

@@ -4,7 +4,8 @@ A line of JSON for each request, and one for its reply:
 
 ======================================  ===============================================================
 ``{"read": true}``                      ``{"legs": [6 angles, rad], "frame": null}``, or a frame
-                                        ``{"features": [...], "depth": [...], "age": s}`` (`frames`)
+                                        ``{"features": [...], "depth": [...], "age": s}``, null for both
+                                        coordinates of a point that is lost (`frames`)
 ``{"command": [6 angles, rad]}``        ``{"ok": true}``
 ``{"hold": true}``                      ``{"ok": true}``: the cranks stop where they are
 ======================================  ===============================================================

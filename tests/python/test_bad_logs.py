@@ -17,7 +17,7 @@ import hexservo as hs
 from hexservo import _core
 from hexservo.cli.commands import app
 from hexservo.findings.identification.drives import MOST_DELAY
-from hexservo.findings.identification.log import Log
+from hexservo.findings.identification.log import Frames, Log
 from hexservo.findings.identification.reach import require_reach
 from hexservo.scenario.parameters import core_parameters
 
@@ -63,6 +63,40 @@ def test_a_bad_log_is_refused_in_words(tmp_path: Path, text: str, words: str) ->
     assert "secret" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("arrival", "exposure", "words"),
+    [
+        (lambda t: t + 1.79e9, None, "line 3, arrival: expected a time of the log, 0 to 0.59 s, got 1790000000.01"),
+        (lambda t: 1e3 * t, None, "line 3, arrival: expected a time of the log, 0 to 0.59 s, got 10"),
+        (lambda t: 0.3 - t / 10, None, "line 5, arrival: expected times that do not decrease, got 0.297 after 0.299"),
+        (lambda t: t, lambda t: 0 * t, "line 61, exposure: expected times that advance from frame to frame as arriv"),
+        (lambda t: t, lambda t: t - 99.0, "line 61, exposure: expected a time of the log, 0 to 0.59 s, got -98.41"),
+        (lambda t: t, lambda t: t + 0.5, "line 3, exposure: expected a time before the arrival of the frame at 0.01, "),
+    ],
+)
+def test_frames_on_another_clock_are_refused_by_line_and_column(
+    tmp_path: Path, arrival: Callable[[float], float], exposure: Callable[[float], float] | None, words: str
+) -> None:
+    """A frame in every second line, from the third of the file on."""
+    rows = [HEAD + ",x_1,y_1,arrival" + (",exposure" if exposure else "")]
+    for tick, row in enumerate(lines_of(60)):
+        time = 0.01 * tick
+        cells = [1.0, 2.0, arrival(time), *([exposure(time)] if exposure else [])]
+        rows.append(",".join([row, *(f"{cell:.12g}" if tick % 2 else "" for cell in cells)]))
+    file = tmp_path / "log.csv"
+    file.write_text("\n".join(rows), encoding="utf-8")
+    with pytest.raises(hs.ScenarioError) as caught:
+        hs.read_log(file)
+    assert f"log.csv: {words}" in str(caught.value)
+
+
+def test_a_log_in_memory_names_the_frame_on_another_clock() -> None:
+    legs = np.full((60, 6), 0.2)
+    frames = Frames(np.ones((2, 2)), np.array([0.1, 1e3]), None)
+    with pytest.raises(ValueError, match=r"frame 2, arrival: expected a time of the log, 0 to 0.59 s, got 1000; give"):
+        Log(0.01 * np.arange(60.0), 0.01, legs, legs, frames)
+
+
 def test_special_files_are_refused_at_once(tmp_path: Path) -> None:
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
@@ -99,7 +133,11 @@ def near_home(machine: hs.Scenario, ticks: int = 60) -> Log:
         ("pi-h824", lambda q: -q, "are their signs reversed?"),
         ("pi-h824", lambda q: q + 0.1, "is this a log of the machine in the scenario, in m?"),
         ("pi-h824", lambda q: 0.627 * np.array([1, -1] * 3) + 0 * q, "are they angles of cranks?"),
-        ("pi-h824", lambda q: np.where(np.arange(60)[:, None] == 7, q + 1.0, q), "at 0.07 s: is the reading wrong?"),
+        (
+            "pi-h824",
+            lambda q: np.where(np.arange(60)[:, None] == 7, q + 1.0, q),
+            "0.07 s after the first tick: is",
+        ),
         ("reachy-mini-head", np.degrees, "near 0.627 rad (travel +-0.77 rad), got"),
         ("reachy-mini-head", np.degrees, "are they in degrees?"),
         ("reachy-mini-head", lambda q: -q, "are their signs reversed?"),

@@ -17,6 +17,7 @@ import hexservo as hs
 from camera_frames import PICTURE, picture
 from hexservo import _core
 from hexservo.campaigns.loop_numbers import delay_margin
+from hexservo.run.export import gains_header
 from hexservo.scenario.laws import LAWS
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.pixels import desired_features, on_pinhole, to_features, to_pixels
@@ -346,6 +347,28 @@ def test_a_message_of_ros_is_read(tmp_path: Path, names: str) -> None:
     assert read_calibration(tmp_path, text) == camera_of("brown_conrady")
 
 
+@pytest.mark.parametrize(
+    "key", ["camera_model: fisheye", "model: Equidistant", "fisheye_model: '1'", "lens_type: kannala-brandt"]
+)
+def test_the_model_of_a_lens_is_read_by_its_keys(tmp_path: Path, key: str) -> None:
+    size = "image_width: 1280\nimage_height: 960\n"
+    text = f"{SQUARE}{size}{key}\nprojection_model: pinhole\nD: {LENSES['kannala_brandt']}\n"
+    assert read_calibration(tmp_path, text) == camera_of("kannala_brandt")
+
+
+def test_keys_that_are_not_of_the_image_do_not_count(tmp_path: Path) -> None:
+    """Of a message of ROS with the whole image, and of OpenCV's tools."""
+    text = (
+        f"{SQUARE}width: 1280\nheight: 960\nD: {LENSES['brown_conrady']}\ndistortion_model: plumb_bob\n"
+        "header: {frame_id: optical}\ncamera_name: left\nR: [1, 0, 0, 0, 1, 0, 0, 0, 1]\n"
+        "P: [500, 0, 320, 0, 0, 500, 240, 0, 0, 0, 1, 0]\nbinning_x: 0\nbinning_y: 1\n"
+        "roi: {x_offset: 0, y_offset: 0, height: 960, width: 0, do_rectify: false}\n"
+        "lens: a lens\nsquare_size: 0.025\nper_view_reprojection_errors: [0.1, 0.2]\nextrinsic_parameters: [[0, 0]]\n"
+        "dist_coeffs_std_dev: [0.1, 0.1, 0.1, 0.1, 0.1]\nfisheye_model: 0\n"
+    )
+    assert read_calibration(tmp_path, text) == camera_of("brown_conrady")
+
+
 def test_a_calibration_without_a_size_has_no_border(tmp_path: Path) -> None:
     """Whatever border the scenario has had."""
     scenario = hs.load_scenario("eye-to-hand")
@@ -359,7 +382,21 @@ def test_a_calibration_without_a_size_has_no_border(tmp_path: Path) -> None:
     [
         (SQUARE + "distortion_model: omni\n", 'distortion_model: expected one of plumb_bob, .*, got "omni"'),
         (SQUARE + "distortion_model: kb4\n", "distortion_model: expected one of"),
-        (SQUARE + "distortion_model: radtan\nfisheye_model: 1\n", "expected fisheye beside fisheye_model: 1"),
+        (SQUARE + "fisheye_model: 1\ndistortion_model: radtan\n", "expected fisheye beside fisheye_model: 1"),
+        (SQUARE + "fisheye_model: 0\ncamera_model: fisheye\n", "camera_model: expected plumb_bob beside fisheye_model"),
+        (SQUARE + "fisheye_model: 2\n", "fisheye_model: expected 0 or 1, got 2"),
+        (SQUARE + "model: omni\n", 'model: expected one of plumb_bob, .*, got "omni"; drop the key if it is not'),
+        (SQUARE + "coeffs: [0.1, 0, 0, 0]\n", "coeffs: expected no such key, .* name them distortion_coefficients"),
+        (SQUARE + "k1: 0.3\nk2: 0.1\n", "k1: expected no such key, .* name them distortion_coefficients, in one list"),
+        (SQUARE + "intrinsics: [605, 604, 322, 241]\n", "intrinsics: expected no such key"),
+        (SQUARE + "mtx: [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n", "mtx: expected the camera matrix once, got camera_matri"),
+        (SQUARE + "Camera_Matrix: 3\n", "Camera_Matrix: expected the camera matrix once, got camera_matrix too"),
+        (SQUARE + "binning_x: 1\nbinning_y: 2\n", "binning_y: expected 0 or 1, an image that is not binned, got 2"),
+        (SQUARE + "roi: {x_offset: 0, y_offset: 50}\n", "roi.y_offset: expected 0, the whole image, got 50"),
+        (
+            SQUARE + "width: 1280\nheight: 960\nroi: {height: 200, width: 1280}\n",
+            "roi.height: expected 0 or 960, the whole image, got 200; give the calibration",
+        ),
         (SQUARE + "distort: [0.1, 0, 0, 0]\n", "distort: expected no such key, .* name them distortion_coefficients"),
         (SQUARE + "D: [0, 0, 0, 0]\ndist: [0, 0, 0, 0]\n", "D: expected the coefficients once, got dist too"),
         (SQUARE + "image_width: 1280\n", "size: expected real numbers"),
@@ -428,10 +465,19 @@ def test_the_command_takes_a_calibration(tmp_path: Path, plain_camera: hs.Scenar
     found = CliRunner().invoke(app, ["run", str(file), "--camera", str(calibration), "--out", str(out)])
     assert found.exit_code == 0, found.output
     assert hs.load_result(next(out.glob("*.nc"))).scenario.camera == scenario.camera
-    for command in ("run", "check", "diagnose"):
-        missing = CliRunner().invoke(app, [command, str(file), "--camera", str(tmp_path / "none.yaml")])
-        assert missing.exit_code != 0
-        assert "none.yaml" in missing.stderr
+    alone = ("run", "show", "check", "certify", "analyse", "diagnose", "explore")
+    for command in (*alone, "report -o a.html", "export --header a.hpp", "compare --scenarios", "identify a.csv -m"):
+        missing = CliRunner().invoke(app, [*command.split(), str(file), "--camera", str(tmp_path / "none.yaml")])
+        assert missing.exit_code == 2
+        assert "none.yaml: cannot be read" in missing.stderr
+    shown = CliRunner().invoke(app, ["show", str(file), "--camera", str(calibration)])
+    header = tmp_path / "gains.hpp"
+    exported = CliRunner().invoke(app, ["export", str(file), "--camera", str(calibration), "--header", str(header)])
+    assert exported.exit_code == 0, exported.output
+    (tmp_path / "shown.yaml").write_text(shown.stdout, encoding="utf-8")
+    with_calibration = hs.load_scenario(tmp_path / "shown.yaml")
+    assert with_calibration.camera == scenario.camera
+    assert header.read_text(encoding="utf-8") == gains_header(with_calibration)
     checked = CliRunner().invoke(app, ["check", str(file), "--camera", str(calibration), "--set", "camera.dropout=1"])
     assert checked.exit_code == 0
     assert "no image arrives" in checked.stderr

@@ -313,6 +313,18 @@ def test_what_a_robot_should_not_have_is_noted(paper: hs.Scenario) -> None:
     assert robot_notes(sampled.updated({"camera.timeout": 0.2, "uncertainty.depth": 0.0})) == []
 
 
+@pytest.mark.parametrize(("what", "notes"), [("controller", 2), ("loop", 0)])
+def test_a_unit_of_the_controller_has_the_notes_of_the_header(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str, notes: int
+) -> None:
+    monkeypatch.setattr("hexservo.bridges.fmi.fmu", lambda scenario, fmi, what: b"")  # the compiled core is not needed
+    code, out, error = run("real-machine", "--fmu", str(tmp_path / "unit.fmu"), "--what", what)
+    assert (code, error) == (0, "")
+    first, *rest = out.splitlines()
+    assert first.endswith(f'unit.fmu: {what} of the scenario "real-machine" as a unit of FMI 2.0')
+    assert rest == [f"Note: {note}." for note in robot_notes(hs.load_scenario("real-machine"))[:notes]]
+
+
 def test_export_writes_refuses_and_replaces(paper: hs.Scenario, tmp_path: Path) -> None:
     header = tmp_path / "gains.hpp"
     code, out, error = run("paper", "--header", str(header))

@@ -243,6 +243,22 @@ def test_an_unknown_latency_is_found_from_motion(paper: hs.Scenario, latency: fl
     assert camera.explained > 0.99
 
 
+def test_seconds_since_1970_are_the_same_log(paper: hs.Scenario) -> None:
+    """Steps of 2.4e-7 s of such times are all that is lost: the step of a difference quotient is far below them."""
+    log, since = seen_log(paper, 0.04, stamps=2e-3), 1.79e9
+    assert log.frames is not None
+    assert log.frames.exposure is not None
+    frames = replace(log.frames, arrival=log.frames.arrival + since, exposure=log.frames.exposure + since)
+    time = log.time + since
+    other = replace(log, time=time, period=float(time[-1] - time[0]) / (len(time) - 1), frames=frames)
+    assert other.period == log.period == 0.01
+    assert other.frames is not None
+    assert other.frames.exposure is not None
+    np.testing.assert_allclose(other.time, log.time, rtol=0, atol=5e-7)
+    np.testing.assert_allclose(other.frames.arrival, log.frames.arrival, rtol=0, atol=5e-7)
+    np.testing.assert_allclose(other.frames.exposure, log.frames.exposure, rtol=0, atol=5e-7)
+
+
 @pytest.mark.slow
 def test_intervals_of_the_latency_contain_the_true_one(paper: hs.Scenario) -> None:
     random = np.random.default_rng(SEED + 7)

@@ -91,6 +91,16 @@ def test_a_log_is_that_which_was_written(tmp_path: Path, compression: str) -> No
     np.testing.assert_allclose(found.frames.arrival[:4], 0.15 + np.array([0, 1, 2, 4]) / 30, rtol=0, atol=1e-9)
 
 
+def test_frames_before_and_after_the_ticks_are_left_out(tmp_path: Path) -> None:
+    """A recorder that is started before the machine's program, and stopped after it."""
+    frames = [(topic, time - 5 * 10**8, content) for topic, time, content in frames_of(90, stamped=False)]
+    found = hs.read_log(written(tmp_path / "log.mcap", [*ticks_of(a_log()), *frames]))
+    assert found.frames is not None
+    arrival = found.frames.arrival
+    assert -PERIOD <= arrival[0] < 1 / 30
+    assert (TICKS - 1) * PERIOD - 1 / 30 < arrival[-1] <= TICKS * PERIOD
+
+
 def test_a_command_holds_until_the_next_one(tmp_path: Path) -> None:
     """Commands that come seldom, and a machine that is read before the first one."""
     log = a_log()
@@ -115,6 +125,11 @@ def test_times_of_the_messages_replace_those_of_the_log(tmp_path: Path) -> None:
     found = hs.read_log(written(tmp_path / "log.mcap", messages))
     np.testing.assert_array_equal(found.commands, log.commands)
     np.testing.assert_allclose(found.time, log.time, rtol=0, atol=1e-9)
+    for _, _, content in messages:
+        content["time"] += START * 1e-9
+    since_1970 = hs.read_log(written(tmp_path / "since_1970.mcap", messages))
+    np.testing.assert_allclose(since_1970.time, log.time, rtol=0, atol=2.4e-7)  # steps of such a double
+    assert since_1970.period == pytest.approx(PERIOD, rel=1e-15)
     del messages[5][2]["time"]
     with pytest.raises(hs.ScenarioError, match="in all messages or in none, got it in 119 of 120"):
         hs.read_log(written(tmp_path / "mixed.mcap", messages))
@@ -191,6 +206,8 @@ def test_other_files_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     refused([*ticks, *frames, ("/features", START, {"features": [1.0, 2.0]})], "the same number of points")
     refused([*ticks, ("/features", START, {"features": [1.0] * 34})], "1 to 16 points")
     refused([*ticks, ("/features", START, {"features": [1.0]})], "1 to 16 points")
+    early = [(topic, time - 10**11, content) for topic, time, content in frames]
+    refused([*ticks, *early], "/features: expected messages during the record of /joints, got 5 before or after it")
     monkeypatch.setattr("hexservo.findings.identification.log.MAX_ROWS", 59)
     refused(ticks, "expected at most 59 messages")
     monkeypatch.setattr("hexservo.findings.identification.log.MAX_ROWS", 60)

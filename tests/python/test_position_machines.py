@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -26,10 +27,10 @@ import reachy.__main__
 from gcs.client import AXES, GcsHexapod, GcsLink, from_pose, to_pose
 from gcs.controller import Controller
 from position_machines.clock import SimulatedClock, interrupts
-from position_machines.frames import Camera, camera_server, frame_of, numbers, object_of
+from position_machines.frames import Camera, camera_server, frame_of, numbers, object_of, report_of
 from position_machines.kinematics import Kinematics
 from position_machines.lines import LONGEST, Line, LinkError, Server, answering
-from position_machines.program import main
+from position_machines.program import _report, main
 from position_machines.servo import Ending, Frame, Limits, LogFile, Reading, Stop, excitation, is_new, run, tracking
 from position_machines.simulated import Drives, SimulatedMachine
 from reachy.head import DRIVES, WATCHDOG, Head, head_handler, head_server, simulated_scenario
@@ -581,6 +582,55 @@ def test_values_of_json_are_checked() -> None:
         frame_of([1], 4, 0.0)
     with pytest.raises(LinkError):
         object_of(b"[" * 100_000)
+
+
+def test_a_lost_point_is_null_on_the_link_and_blank_in_the_log(tmp_path: Path) -> None:
+    content = {"features": [1, 2, 3, 4, 5, 6, None, None], "depth": [-0.5] * 4, "age": 0.05}
+    frame = frame_of(content, 4, 1.0)
+    assert frame is not None
+    np.testing.assert_array_equal(frame.features, [1, 2, 3, 4, 5, 6, np.nan, np.nan])
+    assert report_of((frame, 0.05)) == content
+    for wrong in ([1, 2, 3, 4, 5, 6, 7, None], [1, 2, 3, 4, 5, None], "12345678", [None] * 7):
+        with pytest.raises(LinkError, match=r"^features: expected"):
+            frame_of({**content, "features": wrong}, 4, 1.0)
+    legs = Kinematics(head_scenario()).home_legs
+    log = LogFile(str(tmp_path / "log.csv"), 4, 0.04)
+    for tick in range(60):
+        log.write(0.02 * tick, legs, Reading(legs, frame if tick < 2 else Frame(np.arange(8.0), frame.depth, 1.0)))
+    log.close()
+    rows = (tmp_path / "log.csv").read_text(encoding="utf-8").splitlines()
+    assert rows[1].endswith(",1,2,3,4,5,6,,,0")
+    assert rows[2].endswith(",,,,,,,,,")  # the same image again
+    frames = hs.read_log(tmp_path / "log.csv").frames
+    assert frames is not None
+    np.testing.assert_array_equal(frames.features, [np.arange(8.0)])  # the one with all points
+
+
+@pytest.mark.parametrize(("lost", "ends"), [(slice(6, 8), False), (slice(0, 8), True)])
+def test_an_image_counts_where_it_shows_a_point(lost: slice, ends: bool) -> None:
+    """Points are lost from 0.5 s on; an image without any is none, and the loop ends 0.4 s after the last one."""
+    scenario = head_scenario()
+    legs = Kinematics(scenario).home_legs
+    seen = hs.project(scenario, np.zeros(6))
+    less = seen.copy()
+    less[lost] = np.nan
+    decide = tracking(hs.Controller(scenario), Limits.of(Kinematics(scenario), invalid=10.0))
+    for tick in range(50):
+        now = PERIOD * tick
+        reading = Reading(legs, Frame(seen if tick <= 25 else less, np.full(4, -1.0), now))
+        if ends and tick > 45:
+            with pytest.raises(Stop, match=r"^the newest image is 0.42\d? s old"):
+                decide(now, reading)
+            break
+        assert np.isfinite(decide(now, reading)).all()
+
+
+def test_a_last_image_that_lacks_a_point_is_not_the_goal(capsys: pytest.CaptureFixture[str]) -> None:
+    last = SimpleNamespace(features=np.r_[np.zeros(6), np.nan, np.nan])
+    options = SimpleNamespace(command="track")
+    code = _report(reachy.__main__.PROGRAM, options, head_scenario(), last, Ending("", True, 1))  # type: ignore[arg-type]
+    assert code == 1
+    assert "the last image lacks a point" in capsys.readouterr().out
 
 
 # ---- Hexapods with a text protocol ----------------------------------------------------------------------------------

@@ -151,6 +151,7 @@ def compare(
         ),
     ] = _ALL,
     settings: SettingsOption = None,
+    camera: CameraOption = None,
     out: Annotated[
         str | None,
         typer.Option("--out", "-o", metavar="FOLDER", help="Write tables and a page of plots there."),
@@ -171,7 +172,7 @@ def compare(
         names, chosen_laws = expanded(scenarios), None if laws == _ALL else split(laws)
         watched = sys.stderr is not None and sys.stderr.isatty()
         try:
-            chosen = [load(name, settings or []) for name in names]
+            chosen = [load(name, settings or [], camera) for name in names]
             if out is not None:
                 check_folder(out, force=force)
             started = time.perf_counter()
@@ -237,6 +238,7 @@ def scenarios() -> None:
 def show(
     scenario: ScenarioArgument,
     settings: SettingsOption = None,
+    camera: CameraOption = None,
     flat: Annotated[
         bool, typer.Option("--flat", help="Print a line `key value` for each key of the core, for the C interface.")
     ] = False,
@@ -248,7 +250,7 @@ def show(
     with errors_as_messages():
         from hexservo.scenario.flat import flat_text
 
-        chosen = load(scenario, settings or [])
+        chosen = load(scenario, settings or [], camera)
         write(flat_text(chosen) if flat else chosen.to_yaml(), encoding="utf-8")  # what a scenario is read with
 
 

@@ -55,6 +55,7 @@ def report(
     run: _RunArgument,
     out: Annotated[str, typer.Option("--out", "-o", metavar="FILE", help="HTML file to write, a new one.")],
     settings: SettingsOption = None,
+    camera: CameraOption = None,
     force: ForceOption = False,
 ) -> None:
     """Write a report of a run as one HTML file.
@@ -67,30 +68,38 @@ def report(
 
         check_report(out, force=force)
         started = time.perf_counter()
-        result = _result(run, settings or [])
+        result = _result(run, settings or [], camera)
         write_report(result, out, force=force)
         write(f"{out}: report of {result.scenario.name}, made in {spell_time(time.perf_counter() - started)}\n")
         _exit_as(result)
 
 
 def certify(
-    run: _RunArgument, settings: SettingsOption = None, json: JsonOption = None, force: ForceOption = False
+    run: _RunArgument,
+    settings: SettingsOption = None,
+    camera: CameraOption = None,
+    json: JsonOption = None,
+    force: ForceOption = False,
 ) -> None:
     """Check the theorem's assumptions along a run.
 
     This is a numerical check, not a proof.
     """
-    _judge("certify", run, settings, json, force)
+    _judge("certify", run, settings, camera, json, force)
 
 
 def analyse(
-    run: _RunArgument, settings: SettingsOption = None, json: JsonOption = None, force: ForceOption = False
+    run: _RunArgument,
+    settings: SettingsOption = None,
+    camera: CameraOption = None,
+    json: JsonOption = None,
+    force: ForceOption = False,
 ) -> None:
     """Analyse geometry, gains and timing of a scenario.
 
     Only short runs are simulated, to check results.
     """
-    _judge("analyse", run, settings, json, force)
+    _judge("analyse", run, settings, camera, json, force)
 
 
 def diagnose(
@@ -108,17 +117,16 @@ def diagnose(
 
     The most likely cause comes first, with its evidence and a remedy.
     """
-    _judge("diagnose", run, settings, json, force, camera=camera, machine=machine)
+    _judge("diagnose", run, settings, camera, json, force, machine)
 
 
 def _judge(
     name: str,
     run: str,
     settings: list[str] | None,
+    camera: str | None,
     json: str | None,
     force: bool,
-    *,
-    camera: str | None = None,
     machine: str | None = None,
 ) -> None:
     with errors_as_messages():
@@ -134,7 +142,8 @@ def _judge(
                 complain(*section.sentences, head=section.title)
             of: Any = _run(model.scenario)
         else:
-            of = _scenario(run, settings or []) if source.of_scenario else _result(run, settings or [], camera)
+            read = _scenario if source.of_scenario else _result
+            of = read(run, settings or [], camera)
         with refusals():  # for a run or scenario to which it does not apply
             found = source.find(of)
         if json is not None:
@@ -148,7 +157,7 @@ def _judge(
 # ---- Input ----------------------------------------------------------------------------------------------------------
 
 
-def _result(run: str, settings: list[str], camera: str | None = None) -> hs.Result:
+def _result(run: str, settings: list[str], camera: str | None) -> hs.Result:
     """Read a saved result, or run a scenario; a run interrupted with Ctrl-C is not evaluated."""
     if _is_saved(run, settings, camera):
         return hs.load_result(run)
@@ -168,11 +177,11 @@ def _simulated(scenario: hs.Scenario) -> hs.Result:
     return hs.simulate(scenario)
 
 
-def _scenario(run: str, settings: list[str]) -> hs.Scenario:
-    return hs.load_result(run).scenario if _is_saved(run, settings) else _loaded(run, settings)
+def _scenario(run: str, settings: list[str], camera: str | None) -> hs.Scenario:
+    return hs.load_result(run).scenario if _is_saved(run, settings, camera) else _loaded(run, settings, camera)
 
 
-def _loaded(run: str, settings: list[str], camera: str | None = None) -> hs.Scenario:
+def _loaded(run: str, settings: list[str], camera: str | None) -> hs.Scenario:
     """Load a scenario; a log needs its machine."""
     if run.endswith(_LOGS) and Path(run).is_file():
         command = f"hexservo diagnose {shlex.quote(run)} --machine SCENARIO"
@@ -180,7 +189,7 @@ def _loaded(run: str, settings: list[str], camera: str | None = None) -> hs.Scen
     return load(run, settings, camera)
 
 
-def _is_saved(run: str, settings: list[str], camera: str | None = None) -> bool:
+def _is_saved(run: str, settings: list[str], camera: str | None) -> bool:
     saved = run.endswith(".nc") and run not in hs.scenario_names()
     if saved and (settings or camera is not None):
         option = "--set" if settings else "--camera"
@@ -196,7 +205,7 @@ def _exit_as(result: hs.Result) -> None:
 
 
 def identified(
-    log: str, machine: str, settings: list[str] | None, camera: str | None = None, *, motors: bool = False
+    log: str, machine: str, settings: list[str] | None, camera: str | None, *, motors: bool = False
 ) -> hs.Identification:
     """Identify a log with a bar on a terminal; Ctrl-C ends the command."""
     try:

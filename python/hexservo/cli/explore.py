@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 import hexservo as hs
-from hexservo.cli.terminal import BAD_INPUT, SettingsOption, complain, errors_as_messages, load, write
+from hexservo.cli.terminal import BAD_INPUT, CameraOption, SettingsOption, complain, errors_as_messages, load, write
 
 
 def explore(
@@ -19,6 +19,7 @@ def explore(
         ),
     ] = "paper",
     settings: SettingsOption = None,
+    camera: CameraOption = None,
     out: Annotated[
         str | None,
         typer.Option("--out", "-o", metavar="FILE", help="Write the page there.  [default: a new temporary file]"),
@@ -34,8 +35,8 @@ def explore(
         from hexservo.report.explorer import TITLE, ExplorerError, explorer_page
         from hexservo.run.files import write_file
 
-        packaged = scenario in hs.scenario_names() and not settings
-        chosen = scenario if packaged else load(scenario, settings or [])
+        packaged = scenario in hs.scenario_names() and not settings and camera is None
+        chosen = scenario if packaged else load(scenario, settings or [], camera)
         if out is None:
             import tempfile
 

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 import hexservo as hs
-from hexservo.cli.terminal import ScenarioArgument, SettingsOption, errors_as_messages, load, write
+from hexservo.cli.terminal import CameraOption, ScenarioArgument, SettingsOption, errors_as_messages, load, write
 
 _AUTHOR = "hexservo export"
 
@@ -40,6 +40,7 @@ def export(
         ),
     ] = None,
     settings: SettingsOption = None,
+    camera: CameraOption = None,
     force: Annotated[bool, typer.Option("--force", "-f", help="Replace the file of an earlier export.")] = False,
 ) -> None:
     """Write gains as a C++ header, or the machine for MuJoCo or FMI.
@@ -59,7 +60,7 @@ def export(
         ):
             if value is not None and owner not in given:
                 raise hs.ScenarioError([f"expected it with {owner} alone, got {given[0]}"], option)
-        chosen = load(scenario, settings or [])
+        chosen = load(scenario, settings or [], camera)
         if header is not None:
             write(_header(chosen, header, period, force))
         elif mjcf is not None:
@@ -78,15 +79,22 @@ def _refusals() -> Iterator[None]:
 
 
 def _header(scenario: hs.Scenario, file: str, period: float | None, force: bool) -> str:
-    from hexservo.run.export import TITLE, gains_header, robot_notes
+    from hexservo.run.export import TITLE, gains_header
     from hexservo.run.files import write_file
 
     with _refusals():
         text = gains_header(scenario, period)
     write_file(text, file, TITLE, _AUTHOR, force=force)
     ticks = scenario.simulation.step if period is None else period
-    notes = "".join(f"Note: {note}.\n" for note in robot_notes(scenario))
-    return f'{file}: gains of the scenario "{scenario.name}" for a period of {ticks * 1e3:.6g} ms\n{notes}'
+    first = f'{file}: gains of the scenario "{scenario.name}" for a period of {ticks * 1e3:.6g} ms\n'
+    return first + _notes(scenario)
+
+
+def _notes(scenario: hs.Scenario) -> str:
+    """Return the lines of what is to be known before a robot moves by the controller."""
+    from hexservo.run.export import robot_notes
+
+    return "".join(f"Note: {note}.\n" for note in robot_notes(scenario))
 
 
 def _mjcf(scenario: hs.Scenario, file: str, force: bool) -> str:
@@ -106,4 +114,5 @@ def _fmu(scenario: hs.Scenario, file: str, fmi: int, what: str, force: bool) -> 
     with _refusals():
         content = fmu(scenario, fmi=fmi, what=what)  # type: ignore[arg-type]
     write_file(content, file, is_unit, _AUTHOR, force=force)
-    return f'{file}: {what} of the scenario "{scenario.name}" as a unit of FMI {fmi}.0\n'
+    first = f'{file}: {what} of the scenario "{scenario.name}" as a unit of FMI {fmi}.0\n'
+    return first + (_notes(scenario) if what == "controller" else "")

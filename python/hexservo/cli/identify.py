@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from hexservo.cli.evidence import STANDARD_OUTPUT, ForceOption, JsonOption, check_json, identified, write_json
-from hexservo.cli.terminal import SettingsOption, errors_as_messages, show_parts, write
+from hexservo.cli.terminal import CameraOption, SettingsOption, errors_as_messages, show_parts, write
 
 _TITLE = "# A scenario by `hexservo identify`"
 
@@ -24,6 +24,7 @@ def identify(
         bool, typer.Option("--motors", help="Also fit stiffness, damping, friction and armature of the motors.")
     ] = False,
     settings: SettingsOption = None,
+    camera: CameraOption = None,
     json: JsonOption = None,
     force: ForceOption = False,
 ) -> None:
@@ -41,7 +42,7 @@ def identify(
             check_file(out, _TITLE, "`hexservo identify`", force=force)
         if json is not None:
             check_json("identify", json, force)
-        found = identified(log, machine, settings, motors=motors)
+        found = identified(log, machine, settings, camera, motors=motors)
         if out is not None:
             write_file(f"{_TITLE}\n{found.scenario.to_yaml()}", out, _TITLE, "`hexservo identify`", force=force)
         if json is not None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -27,7 +28,12 @@ _COEFFICIENTS = (
 )
 _WIDTHS = ("image_width", "image_Width", "width")
 _HEIGHTS = ("image_height", "image_Height", "height")
-_MODEL = "distortion_model"
+_OF_MODEL = re.compile(r"model|(camera|lens|projection)_?type")  # keys whose value is the model of the lens
+_FISHEYE = "fisheye_model"  # 0 or 1
+_NO_MODEL = ("", "pinhole")  # ROS has none where it is not known; every one of the models distorts a pinhole
+_OF_LENS = re.compile(r"^dist|distort|coef|lens|radial|tangential|intrinsic|^[dkp]_?\d+$|^xi$")
+_OF_MATRIX = {re.sub("_", "", name.lower()) for name in _MATRICES}
+_DEVIATIONS = ("_std_dev", "_stddev")  # ends of the names of standard deviations
 _MODELS: dict[str, _Model] = {  # names of the two, in lower case with underscores
     **dict.fromkeys(("plumb_bob", "radtan", "brown", "brown_conrady"), "brown_conrady"),
     "rational_polynomial": "brown_conrady",  # where k4, k5 and k6 are zero, which the number of coefficients checks
@@ -96,10 +102,12 @@ def camera_from_file(path: str | os.PathLike[str]) -> dict[str, Any]:
 
     The camera matrix is ``camera_matrix``, ``cameraMatrix``, ``K``, ``k`` or ``mtx``, also as nine numbers in a row;
     the coefficients are ``distortion_coefficients``, ``dist_coeffs``, ``D`` or another of their usual names; the size
-    is ``image_width`` and ``image_height``, or ``width`` and ``height``. Other keys do not count, but one that begins
-    with ``dist`` is refused. ``distortion_model`` is a name of the model of Brown and Conrady (``plumb_bob``,
-    ``radtan``, ``rational_polynomial`` with zeros from k4 on) or, as ``fisheye_model: 1``, of that of Kannala and
-    Brandt (``fisheye``, ``equidistant``), in any case.
+    is ``image_width`` and ``image_height``, or ``width`` and ``height``. ``distortion_model``, or another key with
+    ``model`` in its name, is a name of the model of Brown and Conrady (``plumb_bob``, ``radtan``,
+    ``rational_polynomial`` with zeros from k4 on) or, as ``fisheye_model: 1``, of that of Kannala and Brandt
+    (``fisheye``, ``equidistant``), in any case. Other keys do not count, but those that seem to have a second matrix or
+    coefficients of the lens (``coeffs``, ``k1``, ``intrinsics``) are refused, and so are an image that is binned
+    (``binning_x``, ``binning_y``) and one that is a part of the calibrated one (``roi``).
 
     Raises
     ------
@@ -132,8 +140,9 @@ def _from_document(document: dict[str, Any]) -> dict[str, Any]:
     if matrix.shape == (9,):  # as a message of ROS has it
         matrix = matrix.reshape(3, 3)
     coefficients = _given(document, _COEFFICIENTS)
-    _require_used(document, coefficients)
+    _require_used(document, name, coefficients)
     size = [None if key is None else document[key] for key in (_given(document, _WIDTHS), _given(document, _HEIGHTS))]
+    _require_full_image(document, size)
     return camera_from_opencv(
         matrix,
         None if coefficients is None else _matrix(coefficients, document[coefficients]),
@@ -147,31 +156,76 @@ def _given(document: dict[str, Any], names: tuple[str, ...]) -> str | None:
     return next((name for name in names if document.get(name) is not None), None)
 
 
-def _require_used(document: dict[str, Any], coefficients: str | None) -> None:
-    """Refuse coefficients under a name that is not known, or under two: without them the camera would be another."""
+def _require_used(document: dict[str, Any], matrix: str, coefficients: str | None) -> None:
+    """Refuse numbers of the camera under a name that is not known, or under two: without them it would be another."""
     for key, value in document.items():
-        if value is None or key in (coefficients, _MODEL):
+        name = str(key).lower()
+        if value is None or key in (matrix, coefficients) or _OF_MODEL.search(name) or name.endswith(_DEVIATIONS):
             continue
         if key in _COEFFICIENTS:
             raise ValueError(f"{key}: expected the coefficients once, got {coefficients} too; drop one of the two")
-        if key.lower().startswith("dist"):
+        if name.replace("_", "") in _OF_MATRIX:
+            raise ValueError(f"{key}: expected the camera matrix once, got {matrix} too; drop one of the two")
+        if _OF_LENS.search(name) and not (isinstance(value, str) and "lens" in name):
             raise ValueError(
                 f"{key}: expected no such key, got {shown_value(value)}; if these are the coefficients of the lens, "
-                f"name them {_COEFFICIENTS[0]}, else drop the key"
+                f"name them {_COEFFICIENTS[0]}, in one list, else drop the key"
+            )
+
+
+def _require_full_image(document: dict[str, Any], size: list[Any]) -> None:
+    """Refuse an image that is binned or a part of the calibrated one, whose pixels are others than the matrix has."""
+    for key in ("binning_x", "binning_y"):
+        if (value := document.get(key)) not in (None, 0, 1):
+            raise ValueError(
+                f"{key}: expected 0 or 1, an image that is not binned, got {shown_value(value)}; give the calibration "
+                "of the images that the program has, without this key"
+            )
+    part = document.get("roi")
+    if not isinstance(part, dict):
+        return
+    whole = {"x_offset": (0,), "y_offset": (0,), "width": (0, size[0]), "height": (0, size[1])}
+    for key, allowed in whole.items():
+        if (value := part.get(key)) is not None and value not in allowed:
+            raise ValueError(
+                f"roi.{key}: expected {' or '.join(str(one) for one in allowed if one is not None)}, the whole image, "
+                f"got {shown_value(value)}; give the calibration of the images that the program has, without roi"
             )
 
 
 def _model(document: dict[str, Any]) -> _Model:
     """Return the model of the lens by the keys of a file; without them that of ``cv2.calibrateCamera``."""
-    name, fisheye = document.get(_MODEL), document.get("fisheye_model") == 1
-    if name is None or name == "":  # ROS leaves it empty where the model is not known
-        return "kannala_brandt" if fisheye else "brown_conrady"
-    model = _MODELS.get(re.sub(r"[\s-]+", "_", str(name).strip().lower()))
-    if model is None:
-        raise ValueError(f"{_MODEL}: expected one of {', '.join(_MODELS)}, got {shown_value(name)}")
-    if fisheye and model != "kannala_brandt":
-        raise ValueError(f"{_MODEL}: expected fisheye beside fisheye_model: 1, got {shown_value(name)}; drop one")
-    return model
+    found: dict[str, _Model] = {}  # by key
+    for key, value in document.items():
+        if value is None or not _OF_MODEL.search(str(key).lower()):
+            continue
+        if key == _FISHEYE:
+            found[key] = _of_fisheye(value)
+            continue
+        name = re.sub(r"[\s-]+", "_", str(value).strip().lower())
+        if name in _NO_MODEL:
+            continue
+        if name not in _MODELS:
+            raise ValueError(
+                f"{key}: expected one of {', '.join(_MODELS)}, got {shown_value(value)}; drop the key if it is not the "
+                "model of the lens"
+            )
+        found[key] = _MODELS[name]
+    if len(set(found.values())) > 1:
+        (one, first), (other, _) = next((a, b) for a, b in pairwise(found.items()) if a[1] != b[1])
+        wanted = "fisheye" if first == "kannala_brandt" else "plumb_bob"
+        raise ValueError(
+            f"{other}: expected {wanted} beside {one}: {document[one]}, got {shown_value(document[other])}; drop one"
+        )
+    return next(iter(found.values()), "brown_conrady")
+
+
+def _of_fisheye(value: Any) -> _Model:
+    """Return the model by ``fisheye_model``, whose number OpenCV writes plain and others as text."""
+    text = str(value).strip().lower()
+    if text not in ("0", "1", "false", "true"):
+        raise ValueError(f"{_FISHEYE}: expected 0 or 1, got {shown_value(value)}")
+    return "kannala_brandt" if text in ("1", "true") else "brown_conrady"
 
 
 def _matrix(name: str, value: Any) -> Array:
@@ -193,8 +247,8 @@ def _coefficients(distortion: ArrayLike, model: str) -> list[float]:
     numbers = _numbers("distortion", distortion, None).ravel()
     count = _BROWN_CONRADY if model == "brown_conrady" else _KANNALA_BRANDT
     if len(numbers) < 4 or np.any(numbers[count:]):
-        what = "k1, k2, p1, p2 and k3" if model == "brown_conrady" else "k1 to k4"
-        raise ValueError(f"distortion: expected {what} (4 or {count} numbers), got {shown_value(numbers.tolist())}")
+        what = "k1, k2, p1, p2 and k3 (4 or 5 numbers)" if model == "brown_conrady" else "k1 to k4 (4 numbers)"
+        raise ValueError(f"distortion: expected {what}, got {shown_value(numbers.tolist())}")
     kept: list[float] = numbers[:count].tolist()
     return kept + [0.0] * (count - len(kept))
 

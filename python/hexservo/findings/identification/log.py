@@ -7,13 +7,13 @@ import math
 import os
 import stat
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Real
 from pathlib import Path
 
 import numpy as np
 
-from hexservo.findings.identification.mcap_log import read_mcap
+from hexservo.findings.identification.mcap_log import period_of, read_mcap
 from hexservo.scenario.arrays import Array, real_numbers
 from hexservo.scenario.fields import described
 from hexservo.scenario.reading import path_text
@@ -30,6 +30,8 @@ _STILL = 5.0  # standard deviations of the noise that a leg has to move by
 _FEWEST = 50  # rows: with fewer there is nothing to fit
 _LONGEST = 0.5  # [s]: no machine is commanded more seldom
 _UNEVEN = 0.05  # of the period: most that a tick may be off its place
+_BEYOND = 0.5  # [s]: most that a frame may be before the first tick or after the last
+_LEAST_ADVANCE = 0.1  # of the time between the first and the last arrival: least between their exposures
 _TIME, _EXPOSURE, _ARRIVAL = "time", "exposure", "arrival"
 _LEGS = tuple(range(1, 7))
 _REQUIRED = (_TIME, *(f"{name}_{leg}" for name in ("command", "joint") for leg in _LEGS))  # columns
@@ -54,24 +56,26 @@ class Frames:
 class Log:
     """Record of a machine that takes positions: n ticks, evenly spaced.
 
-    At a tick the joints are read and then a command is given, which is q* from then on.
+    At a tick the joints are read and then a command is given, which is q* from then on. Times may be given by any clock
+    that is the same for all of them, as seconds since 1970; the record has them from its first tick on.
     """
 
-    time: Array  # (n,) [s]
-    period: float  # of the ticks [s]
+    time: Array  # (n,) after the first tick [s]
+    period: float  # of the ticks [s], to the decimals that the given times determine
     commands: Array  # (n, 6) commanded leg coordinates: lengths [m], or angles of cranks [rad]
     joints: Array  # (n, 6) the same as measured
     frames: Frames | None  # None where the log has no image
 
     def __post_init__(self) -> None:
-        """Make arrays of lists, and refuse those that do not fit each other.
+        """Make arrays of lists, count times from the first tick, and refuse those that do not fit each other.
 
         Raises
         ------
         TypeError
             For a period that is no number, and for frames of another type.
         ValueError
-            For what is not numbers, other shapes, numbers that are not finite, and times that are not evenly spaced.
+            For what is not numbers, other shapes, numbers that are not finite, times that are not evenly spaced, and
+            frames whose times are not on the clock of the ticks.
         """
         _make_arrays(self, ("time", "commands", "joints"))
         period: object = self.period
@@ -101,16 +105,29 @@ class Log:
                 f"time: expected seconds, with ticks of at most {_LONGEST} s, got one every {self.period:.6g}: are "
                 "they in ms? Divide the times by 1000, arrival and exposure too"
             )
-        places = self.time[0] + self.period * np.arange(count)
-        off = np.abs(self.time - places)
+        passed = self.time - self.time[0]
+        off = np.abs(passed - self.period * np.arange(count))
         if not self.period > 0.0 or not (off <= _UNEVEN * self.period).all():
             worst = int(np.argmax(off))
             raise ValueError(
-                f"time: expected a tick every {self.period:.6g} s, got one at {self.time[worst]:.6g} s, "
+                f"time: expected a tick every {self.period:.6g} s, got one {passed[worst]:.6g} s after the first, "
                 f"{off[worst]:.3g} s off its place; resample the log to even ticks"
             )
         if self.frames is not None:
-            _check_frames(self.frames)
+            _check_frames(self.frames, self.time)
+        self._count_from_first_tick()
+
+    def _count_from_first_tick(self) -> None:
+        """Count all times from the first tick: a fit shifts them by less than seconds since 1970 resolve."""
+        first = self.time[0]
+        resolution = float(np.spacing(np.abs(self.time).max())) / (len(self.time) - 1)
+        object.__setattr__(self, "period", round(float(self.period), math.floor(-math.log10(resolution))))
+        object.__setattr__(self, "time", self.time - first)
+        if self.frames is not None:
+            exposure = None if self.frames.exposure is None else self.frames.exposure - first
+            object.__setattr__(
+                self, "frames", replace(self.frames, arrival=self.frames.arrival - first, exposure=exposure)
+            )
 
 
 def leg_moves(commands: Array, joints: Array, part: slice) -> bool:
@@ -137,14 +154,45 @@ def _make_arrays(record: Frames | Log, names: Sequence[str]) -> None:
         object.__setattr__(record, name, numbers)
 
 
-def _check_frames(frames: Frames) -> None:
+def _check_frames(frames: Frames, time: Array) -> None:
     count = len(frames.arrival)
     if frames.features.ndim != 2 or len(frames.features) != count or not np.isfinite(frames.features).all():
         raise ValueError(f"features: expected ({count}, 2p) finite numbers, got shape {frames.features.shape}")
-    if (np.diff(frames.arrival) < 0.0).any():
-        raise ValueError("arrival: expected times that do not decrease, got an earlier one after a later one")
-    if frames.exposure is not None and not (frames.exposure <= frames.arrival).all():
-        raise ValueError("exposure: expected times before the arrival of the frame, got a later one")
+    if fault := _fault_of_times(frames, time):
+        frame, words = fault
+        raise ValueError(f"frame {frame + 1}, {words}")
+
+
+def _fault_of_times(frames: Frames, time: Array) -> tuple[int, str] | None:
+    """Return the first frame whose times are wrong, and what is wrong with them."""
+    arrival, exposure = frames.arrival, frames.exposure
+    ends = f"{time[0]:.12g} to {time[-1]:.12g} s"
+    same_clock = "give it in seconds of the clock of time"
+    outside = ~((arrival >= time[0] - _BEYOND) & (arrival <= time[-1] + _BEYOND))
+    if outside.any():
+        frame = int(np.argmax(outside))
+        return frame, f"arrival: expected a time of the log, {ends}, got {arrival[frame]:.12g}; {same_clock}"
+    back = np.diff(arrival, prepend=arrival[:1]) < 0.0
+    if back.any():
+        frame = int(np.argmax(back))
+        before = f"got {arrival[frame]:.12g} after {arrival[frame - 1]:.12g}"
+        return frame, f"arrival: expected times that do not decrease, {before}; sort the frames"
+    if exposure is None or not len(arrival):
+        return None
+    late = ~(exposure <= arrival)
+    if late.any():
+        frame = int(np.argmax(late))
+        times = f"{arrival[frame]:.12g}, got the later {exposure[frame]:.12g}"
+        return frame, f"exposure: expected a time before the arrival of the frame at {times}; {same_clock}"
+    last = len(arrival) - 1
+    if np.ptp(exposure) < _LEAST_ADVANCE * np.ptp(arrival):
+        return last, (
+            f"exposure: expected times that advance from frame to frame as arrivals do, by {np.ptp(arrival):.6g} s in "
+            f"the log, got {np.ptp(exposure):.6g} s; leave the column out where the machine has no such times"
+        )
+    if exposure[last] < time[0] - _BEYOND:
+        return last, f"exposure: expected a time of the log, {ends}, got {exposure[last]:.12g}; {same_clock}"
+    return None
 
 
 def read_log(path: str | os.PathLike[str]) -> Log:
@@ -153,7 +201,7 @@ def read_log(path: str | os.PathLike[str]) -> Log:
     docs/identification.md has the topics and messages of MCAP. In CSV, the first line names the columns, in any order:
 
     ===============================  ==================================================================
-    ``time``                         of a tick [s], evenly spaced
+    ``time``                         of a tick [s] by any clock, evenly spaced
     ``command_1`` ... ``command_6``  coordinates that the legs are sent to at the tick: [m], of cranks [rad]
     ``joint_1`` ... ``joint_6``      the same as measured at the tick, before the command
     ``x_1, y_1, x_2, ...``           pixels of a frame that arrived since the tick before; empty without one
@@ -197,6 +245,7 @@ def _parsed(lines: Iterable[str], source: str) -> Log:
     columns: Mapping[str, int] | None = None
     points = 0
     rows: list[list[float]] = []
+    numbered: list[int] = []  # lines of the file, of the rows
     reader = csv.reader("\n" if line.lstrip().startswith("#") else line for line in lines)  # each line counts
     for cells in reader:
         if not cells:
@@ -213,13 +262,14 @@ def _parsed(lines: Iterable[str], source: str) -> Log:
             if math.isnan(row[columns[name]]):
                 raise ScenarioError(f"line {reader.line_num}, {name}: expected a finite number, got none", source)
         rows.append(row)
+        numbered.append(reader.line_num)
     if columns is None or not rows:
         raise ScenarioError("expected a line of column names and lines of numbers, got none", source)
     table = dict(zip(columns, np.array(rows).T, strict=True))
     time = table[_TIME]
-    period = float(time[-1] - time[0]) / max(1, len(time) - 1)
+    period = period_of(time)
     commands, joints = (np.stack([table[f"{name}_{leg}"] for leg in _LEGS], axis=1) for name in ("command", "joint"))
-    frames = _frames(table, points, source) if points else None
+    frames = _frames(table, points, numbered, source) if points else None
     return Log(time, period, commands, joints, frames)
 
 
@@ -256,7 +306,7 @@ def _number(cell: str, column: str, line: int, source: str) -> float:
     return value
 
 
-def _frames(table: Mapping[str, Array], points: int, source: str) -> Frames | None:
+def _frames(table: Mapping[str, Array], points: int, numbered: Sequence[int], source: str) -> Frames | None:
     features = np.stack([table[f"{axis}_{point}"] for point in range(1, points + 1) for axis in "xy"], axis=1)
     came = np.isfinite(features).all(axis=1)  # frames with lost points are left out
     if not came.any():
@@ -265,4 +315,8 @@ def _frames(table: Mapping[str, Array], points: int, source: str) -> Frames | No
     exposure = table[_EXPOSURE][came] if _EXPOSURE in table else None
     if not np.isfinite(arrival).all() or not (exposure is None or np.isfinite(exposure).all()):
         raise ScenarioError("expected arrival and exposure of every frame, got lines with an image without", source)
-    return Frames(features[came], arrival, exposure)
+    frames = Frames(features[came], arrival, exposure)
+    if fault := _fault_of_times(frames, table[_TIME]):
+        frame, words = fault
+        raise ScenarioError(f"line {np.array(numbered)[came][frame]}, {words}", source)
+    return frames

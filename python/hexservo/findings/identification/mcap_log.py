@@ -20,7 +20,7 @@ from hexservo.scenario.yaml import ScenarioError
 if TYPE_CHECKING:
     from mcap.records import Chunk, McapRecord
 
-__all__ = ["COMMANDS", "FEATURES", "JOINTS", "MAX_CHUNK", "MAX_MESSAGE", "Recorded", "read_mcap"]
+__all__ = ["COMMANDS", "FEATURES", "JOINTS", "MAX_CHUNK", "MAX_MESSAGE", "Recorded", "period_of", "read_mcap"]
 
 COMMANDS, JOINTS, FEATURES = "/commands", "/joints", "/features"
 MAX_CHUNK = 64_000_000  # bytes of a chunk after decompression, and of any other record
@@ -51,6 +51,11 @@ class _Message:
     time: float | None  # [s]
     numbers: list[float]
     exposure: float | None  # [s]
+
+
+def period_of(time: Array) -> float:
+    """Return the mean time between ticks [s]."""
+    return float(time[-1] - time[0]) / max(1, len(time) - 1)
 
 
 def read_mcap(path: Path, source: str, *, most_bytes: int, most_rows: int) -> Recorded:
@@ -237,7 +242,7 @@ def _joined(
 
     commands, commanded = ordered(commands)
     joints, time = ordered(joints)
-    period = float(time[-1] - time[0]) / max(1, len(time) - 1)
+    period = period_of(time)
     # Newest command before the next tick. Ticks before the first command are left out.
     newest = np.searchsorted(commanded, np.append(time[1:], time[-1] + period), side="left") - 1
     known = newest >= 0
@@ -245,8 +250,22 @@ def _joined(
         raise ScenarioError(f"expected commands during the record of {JOINTS}, got none before its end", source)
     positions = np.array([message.numbers for message in commands])
     measured = np.array([message.numbers for message in joints])
-    shown, arrival, exposure = _frames(*ordered(features), start * 1e-9, source)
+    shown, arrival, exposure = _frames(*_during(time, period, *ordered(features), source), start * 1e-9, source)
     return Recorded(time[known], period, positions[newest[known]], measured[known], shown, arrival, exposure)
+
+
+def _during(
+    time: Array, period: float, features: list[_Message], arrival: Array, source: str
+) -> tuple[list[_Message], Array]:
+    """Return the frames that arrived between the first and the last tick: a recorder may have more of the camera."""
+    inside = np.flatnonzero((arrival >= time[0] - period) & (arrival <= time[-1] + period))
+    if features and not len(inside):
+        raise ScenarioError(
+            f"{FEATURES}: expected messages during the record of {JOINTS}, got {len(features)} before or after it; "
+            'are their times of another clock? Give "time" of one clock in all messages',
+            source,
+        )
+    return [features[place] for place in inside], arrival[inside]
 
 
 def _frames(

@@ -53,7 +53,7 @@ def require_reach(log: Log, machine: Scenario, source: str | None = None) -> Non
             guess = next(_guesses(usual, middle, home, stroke, units.coordinate))
         elif strokes.max() > _FARTHEST or (units.coordinate == "m" and values.min() <= 0.0):
             tick, leg = divmod(int(np.argmax(strokes if strokes.max() > _FARTHEST else -values)), 6)
-            got = f"got {number(values[tick, leg])} at {log.time[tick]:.6g} s"
+            got = f"got {number(values[tick, leg])} {log.time[tick]:.6g} s after the first tick"
             guess = "is the reading wrong? Take it out, or interpolate it"
         else:
             continue
