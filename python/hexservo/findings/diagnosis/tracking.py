@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from hexservo.findings.diagnosis.environment import ideal
+from hexservo.findings.diagnosis.environment import BASE_MOTIONS, ideal
 from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal
 from hexservo.findings.leg_feedback import feedback_margin, integral_margin
 from hexservo.scenario.keys import keys_below, value_at
@@ -38,6 +38,8 @@ def _alone(changes: Callable[[Case], Mapping[str, Any]], context: tuple[str, ...
 
     def alone(case: Case) -> list[Alone]:
         kept = {key for block in (*_CONTEXT, *context) for key in keys_below(block)}
+        if case.scenario.target.frame == "world":  # which moves before the camera as the base does
+            kept.update(BASE_MOTIONS)
         without = {key: value for key, value in ideal(case.scenario).items() if key not in kept}
         return [Alone({**without, **changes(case)}, without)]
 
