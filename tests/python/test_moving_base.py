@@ -643,6 +643,15 @@ def test_a_diagnosis_names_the_motion_that_makes_a_run_fail(sampled: hs.Scenario
         assert hs.diagnose(result).causes[0].cause == cause
 
 
+def test_a_small_acceleration_is_ordinary_only_where_the_target_rides_on_the_base(sampled: hs.Scenario) -> None:
+    """0.05 m/s^2 at 0.1 Hz is 0.13 m either way, by which a base leaves a target in the world behind."""
+    slow = {"kind": "sinusoid", "amplitude": [0.05, 0.0, 0.0], "frequency": 0.1}
+    scenario = sampled.updated({"base_motion": slow, "simulation": {"duration": 2.0, "substeps": 1}})
+    assert not hs.diagnose(hs.simulate(scenario)).failed
+    diagnosis = hs.diagnose(hs.simulate(scenario.updated({"target.frame": "world"})))
+    assert [finding.cause for finding in diagnosis.named] == ["base_motion"]
+
+
 def test_a_moving_target_has_no_certificate(sampled: hs.Scenario) -> None:
     for changes in ({"target.motion": {"kind": "velocity"}}, {"target.frame": "world", "base_motion": SWAY}):
         certificate = hs.certify(hs.simulate(sampled.updated({**changes, "simulation.duration": 0.02})))
