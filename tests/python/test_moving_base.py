@@ -618,6 +618,24 @@ def test_specific_forces_of_a_base_that_turns_need_its_attitudes(sampled: hs.Sce
         sampled.updated({"base_motion": turning})
 
 
+def test_what_a_recording_is_has_to_be_told_again_with_another_one(sampled: hs.Scenario, tmp_path: Path) -> None:
+    """What was read is kinematic, so that neither a new file's frame nor a second removal of gravity is guessed."""
+    time = np.arange(0.0, 1.0, 0.01)
+    file = written(tmp_path / "rest.csv", {"t": time, **axes("ax ay az", np.tile([0.0, 0.0, -9.8], (len(time), 1)))})
+    force = {"base_motion.frame_of_acceleration": "specific_force"}
+    at_rest = sampled.updated({"base_motion": {"kind": "recorded", "file": file}, **force})
+    for again in ({"base_motion.file": file}, {"base_motion": {"file": file}}):
+        with pytest.raises(hs.ScenarioError, match=r"frame_of_acceleration: expected it beside base_motion\.file"):
+            at_rest.updated(again)
+        assert at_rest.updated({**again, **force}) == at_rest
+    kinematic = {"base_motion.samples": [[1.0, 0.0, 0.0]] * 100}
+    with pytest.raises(hs.ScenarioError, match=r"frame_of_acceleration: expected it beside base_motion\.samples"):
+        at_rest.updated(kinematic)
+    assert at_rest.updated({**kinematic, "base_motion.frame_of_acceleration": "kinematic"}) != at_rest
+    with pytest.raises(hs.ScenarioError, match="gravity would be taken out twice"):
+        at_rest.updated(force)
+
+
 def test_continuous_mode_refuses_motion(paper: hs.Scenario) -> None:
     for key, value in (("target.frame", "world"), ("target.motion.kind", "velocity"), ("base_motion.kind", "road")):
         with pytest.raises(hs.ScenarioError, match=f"{key}: has no effect in continuous mode"):
