@@ -283,6 +283,8 @@ def test_noise_that_the_filter_takes_for_a_jump() -> None:
     assumed = head.controller.tracking.noise
     assert not any(line.startswith(start) for line in unlikely(head.updated({"camera.noise": 1.49 * assumed})))
     assert "set it to 0.755" in only(head.updated({"camera.noise": 1.51 * assumed}), start)
+    rounded = {"camera.noise": 0.0, "camera.quantisation": 1.51 * assumed * math.sqrt(12.0)}  # as much
+    assert "set it to 0.755" in only(head.updated(rounded), start)
     known = {"camera.noise": 1.1, start: 1.1}
     assert not any(line.startswith(start) for line in unlikely(head.updated(known)))
 
