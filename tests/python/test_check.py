@@ -275,6 +275,16 @@ def test_a_slope_of_the_switching_term_counts(paper: hs.Scenario) -> None:
     assert math.isfinite(rate)
 
 
+def test_motors_that_do_not_overcome_their_friction() -> None:
+    """0.1 N m of friction and 0.021 N m of weight: with a limit of 0.11 the head does not arrive, with 0.13 it does."""
+    head = hs.load_scenario("reachy-mini-motors")
+    start = "robot.force_limit: 0.11 N m does not move leg 6 against actuators.motor.friction, 0.1 N m"
+    for limit, arrives in ((0.11, False), (0.13, True)):
+        scenario = head.updated({"robot.force_limit": limit})
+        assert (hs.metrics(hs.simulate(scenario))["final_error"] < head.metrics.band) == arrives
+        assert any(line.startswith(start) for line in unlikely(scenario)) != arrives
+
+
 def test_noise_that_the_filter_takes_for_a_jump() -> None:
     """A jump of 6 assumed deviations is 4 of the noise where this is 1.5 times as large."""
     takes = {"controller.law": "tracking", "camera.prediction": "none", "actuators.kind": "position"}

@@ -81,6 +81,13 @@ def _of_legs(scene: Scene) -> Iterator[str]:
             f"robot.force_limit: {number(robot.force_limit)} {unit} is less than the {number(abs(forces[leg]))} {unit} "
             f"that leg {leg + 1} needs to carry the platform's weight at home"
         )
+    friction = scene.scenario.actuators.motor.friction
+    if scene.scenario.actuators.kind == "position_torque" and robot.force_limit <= friction + abs(forces[leg]):
+        yield (
+            f"robot.force_limit: {number(robot.force_limit)} {unit} does not move leg {leg + 1} against "
+            f"actuators.motor.friction, {number(friction)} {unit}, and the {number(abs(forces[leg]))} {unit} of the "
+            "platform's weight at home"
+        )
     z_down = robot.gravity[2] >= 0
     upward = -1.0 if z_down else 1.0
     sight = scene.settings.camera.in_mount(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0]]))
