@@ -324,7 +324,7 @@ def test_motors_that_fail_are_diagnosed(cause: str, motor: dict[str, float]) -> 
 
 
 def test_motors_weaker_than_their_friction_need_a_larger_limit() -> None:
-    head = hs.load_scenario("reachy-mini-motors").updated({"simulation.duration": 2.0})
+    head = hs.load_scenario("reachy-mini-motors").updated({"simulation.duration": 1.2, "simulation.substeps": 2})
     weak = head.updated({"robot.force_limit": 0.03})  # [N m], against 0.1 of friction
     result = hs.simulate(weak)
     assert np.abs(result.leg_lengths - result.leg_lengths[0]).max() < 1e-9  # none moves

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -565,6 +566,19 @@ def test_batches_and_runs_agree(sampled: hs.Scenario, kind: str) -> None:
         assert batch.metrics["final_error"][index] == pytest.approx(hs.metrics(run)["final_error"], rel=1e-9)
         errors.append(hs.metrics(run)["final_error"])
     assert (len(set(errors)) == 1) == (kind == "sinusoid")
+
+
+def test_the_rough_road_is_as_rough_as_it_is_described() -> None:
+    """RMS of B's acceleration along x, y and z [m/s^2], and of its tilt [deg], as means over 40 seeds."""
+    scenario, time = hs.load_scenario("rough-road"), np.linspace(0.0, 5.0, 501)
+    squares = []
+    for seed in range(40):
+        _, attitude, _, _, acceleration = motion_of(scenario.updated({"seed": seed}), time)
+        tilt = np.degrees(np.arccos(np.clip(attitude[:, 2, 2], -1.0, 1.0)))
+        squares.append(np.mean(np.square(np.column_stack([acceleration, tilt])), axis=0))
+    *accelerations, tilt = re.findall(r"\d\.\d+", scenario.description)
+    found = np.sqrt(squares).mean(axis=0)
+    assert [f"{value:.2f}" for value in found] == [*accelerations, tilt]
 
 
 def test_the_seed_draws_the_road(sampled: hs.Scenario) -> None:
