@@ -41,6 +41,13 @@ void require_rotation(const BaseRotationParameters<double>& rotation, double fas
       refuse(key + ".amplitude", "a rotation vector of at most pi (radians)", words(rotation.amplitude.norm(), " rad"));
   } else if (rotation.kind == RotationKind::noise) {
     require_band(key, rotation, fastest);
+    const double band = rotation.high_frequency - rotation.low_frequency;
+    const double largest = std::sqrt(2.0 * kBaseMotionWaves * band * rotation.level.sum());  // were all waves in phase
+    if (!(largest <= 2.0 * kPi))
+      refuse(key + ".level",
+             words("levels whose rotation vector stays within 2 pi (radians), at most ",
+                   2.0 * kPi * kPi / (kBaseMotionWaves * band), " rad^2/Hz in all over this band"),
+             words(rotation.level.sum(), " rad^2/Hz, of at most ", largest, " rad"));
   }
 }
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import hexservo as hs
 from hexservo import _core
@@ -154,6 +156,68 @@ def test_specific_forces_that_were_read_with_another_gravity() -> None:
     assert not np.any(scenario.updated({"base_motion": rest}).base_motion.samples)
 
 
+def recorded(scenario: hs.Scenario, period: float, turns: Any, **keys: Any) -> list[str]:
+    """Return what is noted of a base with these rotation vectors (n, 3) [rad], without accelerations."""
+    attitudes = np.roll(Rotation.from_rotvec(turns).as_quat(), 1, axis=1)
+    motion = {"kind": "recorded", "attitudes": attitudes, "samples": np.zeros((len(turns), 3)), "sample_period": period}
+    found = unlikely(scenario.updated({"base_motion": {**motion, **keys}}))
+    return [line for line in found if line.startswith("base_motion")]
+
+
+def test_attitudes_with_few_digits() -> None:
+    """A roll of 2 deg at 0.5 Hz turns with 0.34 rad/s^2 at most; four digits at 100 Hz leave sqrt(12) 1e-4/h^2 RMS."""
+    scenario = hs.load_scenario("slow-camera").updated({"simulation.duration": 1.0})
+    time = np.linspace(0.0, 1.0, 101)
+    turns = np.radians(2.0) * np.sin(np.pi * time)[:, None] * np.array([1.0, 0.0, 0.0])
+    assert recorded(scenario, 0.01, turns) == []
+    q = np.roll(Rotation.from_rotvec(turns).as_quat(), 1, axis=1).round(4)
+    (line,) = recorded(scenario, 0.01, turns, attitudes=q)
+    found = re.search(r"angular acceleration is ([\d.]+) rad/s\^2 \(RMS\), and ([\d.]+) rad/s\^2 from every", line)
+    assert found is not None
+    assert float(found[1]) == pytest.approx(np.sqrt(12.0), rel=0.3)  # of 200 draws
+    assert float(found[2]) < 0.6
+    signs = np.where(np.arange(101) % 2, -1.0, 1.0)[:, None]  # a quaternion and its negative are one attitude
+    assert recorded(scenario, 0.01, turns, attitudes=signs * q) == [line]
+
+
+def test_a_base_that_turns_in_degrees() -> None:
+    scenario = hs.load_scenario("slow-camera").updated({"simulation.duration": 1.0})
+    time = np.linspace(0.0, 1.0, 101)[:, None]
+    tilted, turned = (np.array(axis) for axis in ([0.9, 0.0, 0.0], [0.0, 0.0, 1.9]))
+    (line,) = recorded(scenario, 0.01, time * tilted)
+    assert "the base tilts by 0.9 rad (52 deg); check that angles and rates in the file are in radians" in line
+    assert recorded(scenario, 0.01, time * turned) == []  # a vehicle may head anywhere
+    (line,) = recorded(scenario, 0.01, time * turned * 1.1)
+    assert "the base turns by up to 2.09 rad/s (120 deg/s)" in line
+
+
+def test_recordings_that_do_not_fit_the_run() -> None:
+    scenario = hs.load_scenario("slow-camera").updated({"simulation.duration": 2.0})
+    for block, what in (("base_motion", "base rests"), ("target.motion", "target stays where it is")):
+
+        def noted(count: int, period: float, block: str = block) -> list[str]:
+            motion = {"kind": "recorded", "samples": np.zeros((count, 3)), "sample_period": period}
+            return [line for line in unlikely(scenario.updated({block: motion})) if line.startswith(block)]
+
+        assert noted(10, 0.2) == []
+        (line,) = noted(9, 0.2)
+        assert f"lasts 1.6 s, and simulation.duration is 2 s: the {what} in the rest of the run" in line
+        (line,) = noted(20, 10.0)  # times in ms
+        assert "10 s is more than a tenth of simulation.duration, 2 s; check that times in the file are in s" in line
+
+
+def test_a_base_whose_motion_is_unseen() -> None:
+    """Legs that follow whatever it takes, and a target that rides along, have one pose and image on any base."""
+    scenario = hs.load_scenario("pi-h824-positions").updated({"simulation.duration": 0.2})
+    shaken = scenario.updated({"base_motion": {"kind": "sinusoid", "amplitude": [1.0, 0.0, 0.0], "frequency": 2.0}})
+    one, other = hs.simulate(scenario), hs.simulate(shaken)
+    np.testing.assert_array_equal(one.position, other.position)
+    np.testing.assert_array_equal(one.feature_error, other.feature_error)
+    assert np.abs(one.leg_forces - other.leg_forces).max() > 0.1
+    assert "only on the efforts of the legs" in only(shaken, "base_motion: has no effect on pose and image here")
+    assert not any(line.startswith("base_motion") for line in unlikely(shaken.updated({"target.frame": "world"})))
+
+
 def test_home_below_the_base_and_a_stroke_beyond_a_leg(paper: hs.Scenario) -> None:
     below = paper.updated({"robot.home_position": [0.0, 0.0, 0.15]})
     assert "puts home below the base" in only(below, "robot.home_position")
@@ -211,6 +275,16 @@ def test_a_slope_of_the_switching_term_counts(paper: hs.Scenario) -> None:
     assert math.isfinite(rate)
 
 
+def test_motors_that_do_not_overcome_their_friction() -> None:
+    """0.1 N m of friction and 0.021 N m of weight: with a limit of 0.11 the head does not arrive, with 0.13 it does."""
+    head = hs.load_scenario("reachy-mini-motors")
+    start = "robot.force_limit: 0.11 N m does not move leg 6 against actuators.motor.friction, 0.1 N m"
+    for limit, arrives in ((0.11, False), (0.13, True)):
+        scenario = head.updated({"robot.force_limit": limit})
+        assert (hs.metrics(hs.simulate(scenario))["final_error"] < head.metrics.band) == arrives
+        assert any(line.startswith(start) for line in unlikely(scenario)) != arrives
+
+
 def test_noise_that_the_filter_takes_for_a_jump() -> None:
     """A jump of 6 assumed deviations is 4 of the noise where this is 1.5 times as large."""
     takes = {"controller.law": "tracking", "camera.prediction": "none", "actuators.kind": "position"}
@@ -219,6 +293,8 @@ def test_noise_that_the_filter_takes_for_a_jump() -> None:
     assumed = head.controller.tracking.noise
     assert not any(line.startswith(start) for line in unlikely(head.updated({"camera.noise": 1.49 * assumed})))
     assert "set it to 0.755" in only(head.updated({"camera.noise": 1.51 * assumed}), start)
+    rounded = {"camera.noise": 0.0, "camera.quantisation": 1.51 * assumed * math.sqrt(12.0)}  # as much
+    assert "set it to 0.755" in only(head.updated(rounded), start)
     known = {"camera.noise": 1.1, start: 1.1}
     assert not any(line.startswith(start) for line in unlikely(head.updated(known)))
 

@@ -321,3 +321,17 @@ def test_motors_that_fail_are_diagnosed(cause: str, motor: dict[str, float]) -> 
     found = hs.diagnose(hs.simulate(scenario))
     assert found.failed
     assert [finding.cause for finding in found.causes][:1] == [cause]
+
+
+def test_motors_weaker_than_their_friction_need_a_larger_limit() -> None:
+    head = hs.load_scenario("reachy-mini-motors").updated({"simulation.duration": 1.2, "simulation.substeps": 2})
+    weak = head.updated({"robot.force_limit": 0.03})  # [N m], against 0.1 of friction
+    result = hs.simulate(weak)
+    assert np.abs(result.leg_lengths - result.leg_lengths[0]).max() < 1e-9  # none moves
+    diagnosis = hs.diagnose(result)
+    (finding,) = diagnosis.named
+    assert finding.cause == "motors"
+    assert finding.remedy is not None
+    assert finding.remedy.works
+    assert finding.remedy.changes["robot.force_limit"] > 0.12
+    assert "A leg is at its torque limit of 0.03 N m for" in " ".join(diagnosis.section().sentences)

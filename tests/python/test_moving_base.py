@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -568,6 +569,19 @@ def test_batches_and_runs_agree(sampled: hs.Scenario, kind: str) -> None:
     assert (len(set(errors)) == 1) == (kind == "sinusoid")
 
 
+def test_the_rough_road_is_as_rough_as_it_is_described() -> None:
+    """RMS of B's acceleration along x, y and z [m/s^2], and of its tilt [deg], as means over 40 seeds."""
+    scenario, time = hs.load_scenario("rough-road"), np.linspace(0.0, 5.0, 501)
+    squares = []
+    for seed in range(40):
+        _, attitude, _, _, acceleration = motion_of(scenario.updated({"seed": seed}), time)
+        tilt = np.degrees(np.arccos(np.clip(attitude[:, 2, 2], -1.0, 1.0)))
+        squares.append(np.mean(np.square(np.column_stack([acceleration, tilt])), axis=0))
+    *accelerations, tilt = re.findall(r"\d\.\d+", scenario.description)
+    found = np.sqrt(squares).mean(axis=0)
+    assert [f"{value:.2f}" for value in found] == [*accelerations, tilt]
+
+
 def test_the_seed_draws_the_road(sampled: hs.Scenario) -> None:
     road = sampled.updated({"base_motion": {"kind": "road"}, "seed": 5})
     time = np.linspace(0.0, 1.0, 11)
@@ -619,6 +633,24 @@ def test_specific_forces_of_a_base_that_turns_need_its_attitudes(sampled: hs.Sce
         sampled.updated({"base_motion": turning})
 
 
+def test_what_a_recording_is_has_to_be_told_again_with_another_one(sampled: hs.Scenario, tmp_path: Path) -> None:
+    """What was read is kinematic, so that neither a new file's frame nor a second removal of gravity is guessed."""
+    time = np.arange(0.0, 1.0, 0.01)
+    file = written(tmp_path / "rest.csv", {"t": time, **axes("ax ay az", np.tile([0.0, 0.0, -9.8], (len(time), 1)))})
+    force = {"base_motion.frame_of_acceleration": "specific_force"}
+    at_rest = sampled.updated({"base_motion": {"kind": "recorded", "file": file}, **force})
+    for again in ({"base_motion.file": file}, {"base_motion": {"file": file}}):
+        with pytest.raises(hs.ScenarioError, match=r"frame_of_acceleration: expected it beside base_motion\.file"):
+            at_rest.updated(again)
+        assert at_rest.updated({**again, **force}) == at_rest
+    kinematic = {"base_motion.samples": [[1.0, 0.0, 0.0]] * 100}
+    with pytest.raises(hs.ScenarioError, match=r"frame_of_acceleration: expected it beside base_motion\.samples"):
+        at_rest.updated(kinematic)
+    assert at_rest.updated({**kinematic, "base_motion.frame_of_acceleration": "kinematic"}) != at_rest
+    with pytest.raises(hs.ScenarioError, match="gravity would be taken out twice"):
+        at_rest.updated(force)
+
+
 def test_continuous_mode_refuses_motion(paper: hs.Scenario) -> None:
     for key, value in (("target.frame", "world"), ("target.motion.kind", "velocity"), ("base_motion.kind", "road")):
         with pytest.raises(hs.ScenarioError, match=f"{key}: has no effect in continuous mode"):
@@ -642,6 +674,15 @@ def test_a_diagnosis_names_the_motion_that_makes_a_run_fail(sampled: hs.Scenario
     ):
         result = hs.simulate(sampled.updated({**changes, "simulation": {"duration": 2.0, "substeps": 1}}))
         assert hs.diagnose(result).causes[0].cause == cause
+
+
+def test_a_small_acceleration_is_ordinary_only_where_the_target_rides_on_the_base(sampled: hs.Scenario) -> None:
+    """0.05 m/s^2 at 0.1 Hz is 0.13 m either way, by which a base leaves a target in the world behind."""
+    slow = {"kind": "sinusoid", "amplitude": [0.05, 0.0, 0.0], "frequency": 0.1}
+    scenario = sampled.updated({"base_motion": slow, "simulation": {"duration": 2.0, "substeps": 1}})
+    assert not hs.diagnose(hs.simulate(scenario)).failed
+    diagnosis = hs.diagnose(hs.simulate(scenario.updated({"target.frame": "world"})))
+    assert [finding.cause for finding in diagnosis.named] == ["base_motion"]
 
 
 def test_a_moving_target_has_no_certificate(sampled: hs.Scenario) -> None:

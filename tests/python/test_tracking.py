@@ -510,7 +510,6 @@ def test_a_bad_reading_leaves_nothing_behind_in_the_feedback(reading: Any) -> No
 # ---- Diagnosis and checks ------------------------------------------------------------------------------------------
 
 SWAYING = {
-    "target.motion": {"kind": "sinusoid", "amplitude": [0.0, 0.12, 0.0], "frequency": 0.5},
     "actuators.position": {"bandwidth": 4.0, "damping": 1.0},
     "camera.noise": 0.1,
     "camera.latency": 0.06,
@@ -519,19 +518,30 @@ SWAYING = {
 }
 
 
+TARGET_MOVES = {"target.motion": {"kind": "sinusoid", "amplitude": [0.0, 0.12, 0.0], "frequency": 0.5}}
+BASE_MOVES = {  # as far the other way, before a target in the world: the acceleration of -0.12 sin(pi t)
+    "target.frame": "world",
+    "base_motion": {"kind": "sinusoid", "amplitude": [0.0, 0.12 * np.pi**2, 0.0], "frequency": 0.5},
+}
+
+
 @pytest.mark.parametrize(
-    ("cause", "fault"),
+    ("cause", "fault", "motion"),
     [
-        ("lag_not_led", {"lead": 0.0}),
-        pytest.param("lag_not_led", {"lead": 4.0}, marks=pytest.mark.slow),
-        ("target_filter", {"certainty": 500.0}),
-        pytest.param("target_filter", {"noise": 500.0}, marks=pytest.mark.slow),
-        pytest.param("target_filter", {"jump": 1e-3}, marks=pytest.mark.slow),
+        ("lag_not_led", {"lead": 0.0}, TARGET_MOVES),
+        pytest.param("lag_not_led", {"lead": 4.0}, TARGET_MOVES, marks=pytest.mark.slow),
+        pytest.param("lag_not_led", {"lead": 4.0}, BASE_MOVES, marks=pytest.mark.slow),
+        ("target_filter", {"certainty": 500.0}, TARGET_MOVES),
+        pytest.param("target_filter", {"noise": 500.0}, TARGET_MOVES, marks=pytest.mark.slow),
+        ("target_filter", {"noise": 500.0}, BASE_MOVES),
+        pytest.param("target_filter", {"jump": 1e-3}, TARGET_MOVES, marks=pytest.mark.slow),
     ],
 )
-def test_settings_that_do_not_suit_the_target_are_diagnosed(cause: str, fault: dict[str, float]) -> None:
-    """A face that sways is followed; with one setting wrong it is not, and that setting is named."""
-    following = head(0.0, turned=False, gains={"noise": 0.1, "bandwidth": 6.0}).updated(SWAYING)
+def test_settings_that_do_not_suit_the_target_are_diagnosed(
+    cause: str, fault: dict[str, float], motion: dict[str, Any]
+) -> None:
+    """A face that sways before the head is followed; with one setting wrong it is not, and that setting is named."""
+    following = head(0.0, turned=False, gains={"noise": 0.1, "bandwidth": 6.0}).updated({**SWAYING, **motion})
     assert hs.diagnose(hs.simulate(following)).failed is False
     diagnosis = hs.diagnose(hs.simulate(following.updated({f"controller.tracking.{k}": v for k, v in fault.items()})))
     assert diagnosis.failed

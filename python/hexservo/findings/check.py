@@ -15,6 +15,7 @@ from hexservo.findings.analysis.loop_of_scenario import NotApplicableError, quie
 from hexservo.findings.analysis.reach import reach_of_start_and_goal
 from hexservo.findings.analysis.scene import Scene, scene_of
 from hexservo.findings.check_gains import of_gains
+from hexservo.findings.check_motion import of_motion
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.blocks import Robot, preset_values
@@ -31,8 +32,6 @@ from hexservo.scenario.wording import number, quantity
 
 _FEWEST = 3  # points that a law can regulate
 _OFF_CENTRE = 0.15  # of the image, most that the principal point of a usual lens is off its centre
-# [m/s^2], of a base's recording: a vehicle that is at rest before and after has a mean of zero, and gravity is 9.8
-_MEAN_ACCELERATION = 2.0
 _TICKS = 10  # servo periods per shortest time constant of the loop for which the hold has little effect
 
 
@@ -41,11 +40,11 @@ def unlikely(scenario: Scenario) -> list[str]:
 
     Compares the weight at home with the force limits, home with the base, the stroke with the leg lengths, start and
     goal with stroke, joint limits and image, the start's twist with the speed limit, the principal point with the
-    image, times of the camera and of the metrics with the duration, a recorded acceleration with that of gravity, the
-    period of frames with what finds an unknown latency, and in sampled mode the servo period with the loop of the
-    gains, linearised at home with the switching term as in `linear_law`; gains with duration, servo rate, delays,
-    forces and noise (`of_gains`). Gains with which numbers of that loop overflow have a sentence that names it. Does
-    not simulate.
+    image, times of the camera and of the metrics with the duration, the motions of base and target with what machines
+    do (`of_motion`), the period of frames with what finds an unknown latency, and in sampled mode the servo period
+    with the loop of the gains, linearised at home with the switching term as in `linear_law`; gains with duration,
+    servo rate, delays, forces and noise (`of_gains`). Gains with which numbers of that loop overflow have a sentence
+    that names it. Does not simulate.
     """
     scene = scene_of(scenario)
     fastest, overflow = None, []
@@ -64,7 +63,7 @@ def unlikely(scenario: Scenario) -> list[str]:
         *_of_principal_point(scenario),
         *_of_duration(scenario),
         *_of_dropout(scenario),
-        *_of_recording(scenario),
+        *of_motion(scenario),
         *_of_unknown_latency(scenario),
         *_of_period(scenario, fastest),
         *(overflow or of_gains(scene, fastest)),
@@ -81,6 +80,13 @@ def _of_legs(scene: Scene) -> Iterator[str]:
         yield (
             f"robot.force_limit: {number(robot.force_limit)} {unit} is less than the {number(abs(forces[leg]))} {unit} "
             f"that leg {leg + 1} needs to carry the platform's weight at home"
+        )
+    friction = scene.scenario.actuators.motor.friction
+    if scene.scenario.actuators.kind == "position_torque" and robot.force_limit <= friction + abs(forces[leg]):
+        yield (
+            f"robot.force_limit: {number(robot.force_limit)} {unit} does not move leg {leg + 1} against "
+            f"actuators.motor.friction, {number(friction)} {unit}, and the {number(abs(forces[leg]))} {unit} of the "
+            "platform's weight at home"
         )
     z_down = robot.gravity[2] >= 0
     upward = -1.0 if z_down else 1.0
@@ -188,30 +194,6 @@ def _of_duration(scenario: Scenario) -> Iterator[str]:
 def _of_dropout(scenario: Scenario) -> Iterator[str]:
     if scenario.camera.dropout == 1.0:
         yield "camera.dropout: 1 loses every frame, so that no image arrives in the run"
-
-
-def _of_recording(scenario: Scenario) -> Iterator[str]:
-    """Find gravity in recorded accelerations, by the speed that they would give to the base."""
-    motion = scenario.base_motion
-    if motion.kind != "recorded" or motion.samples is None or motion.sample_period is None:
-        return
-    with np.errstate(over="ignore"):
-        mean = np.mean(motion.samples, axis=0)
-        size = float(np.linalg.norm(mean))
-    if size <= _MEAN_ACCELERATION:
-        return
-    duration = len(motion.samples) * motion.sample_period
-    yield (
-        f"base_motion.samples: their mean acceleration is {_vector(mean)} m/s^2, by which the base gains "
-        f"{number(size * duration)} m/s in {quantity(duration, 's')}; check the signs and "
-        "base_motion.frame_of_acceleration: at rest and level, specific_force has "
-        f"{_vector(-np.asarray(scenario.robot.gravity))} m/s^2 in the file, and kinematic has zero; forces that were "
-        "read before robot.gravity was changed hold the difference"
-    )
-
-
-def _vector(values: Array) -> str:
-    return f"({', '.join(map(number, values))})"
 
 
 def _of_unknown_latency(scenario: Scenario) -> Iterator[str]:

@@ -16,6 +16,7 @@ from hexservo.scenario.fitted import Machine, auto_of, chosen_keys, fitted_keys,
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.laws import LAWS
 from hexservo.scenario.parameters import frame_period
+from hexservo.scenario.pixels import feature_noise
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number, quantity
 
@@ -90,14 +91,16 @@ def _of_feedback(scenario: Scenario, law: str) -> Iterator[str]:
 
 
 def _of_noise(scenario: Scenario, law: str) -> Iterator[str]:
-    """Find noise of the camera that the filter of the target takes for a target that is somewhere else."""
-    true, assumed, jump = scenario.camera.noise, value_at(scenario, f"{law}.noise"), value_at(scenario, f"{law}.jump")
+    """Find noise and rounding of the camera that the filter of the target takes for a target that is somewhere else."""
+    true = feature_noise(scenario.camera)
+    assumed, jump = value_at(scenario, f"{law}.noise"), value_at(scenario, f"{law}.jump")
     if scenario.simulation.mode == SAMPLED_MODE and jump * assumed * _ROUNDING < _OF_NOISE * true:
         frames = 1.0 / (_COORDINATES * math.erfc(jump * assumed / true / math.sqrt(2.0)))
         yield (
-            f"{law}.noise: {number(assumed)} px is less than camera.noise, {number(true)} px, so that noise alone is "
-            f"beyond {law}.jump and restarts the estimate of the target every {max(frames, 1.0):.0f} frames or "
-            f"so, and the machine does not stay on its goal; set it to {number(true)}"
+            f"{law}.noise: {number(assumed)} px is less than the {number(true)} px of camera.noise and "
+            f"camera.quantisation, so that these alone are beyond {law}.jump and restart the estimate of the target "
+            f"every {max(frames, 1.0):.0f} frames or so, and the machine does not stay on its goal; set it to "
+            f"{number(true)}"
         )
 
 

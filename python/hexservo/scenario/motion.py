@@ -77,8 +77,8 @@ class BaseMotion(Block):
     high_frequency: PositiveNumber = from_core("base_motion.high_frequency")
     rotation: BaseRotation = Field(default_factory=BaseRotation)
     road: Road = Field(default_factory=Road)
-    # what samples are: accelerations of B's origin in W, or readings of an accelerometer on B, along its axes and with
-    # gravity in them, which become those
+    # what samples are: accelerations of B's origin in W, or readings of an accelerometer there, along B's axes and with
+    # gravity in them, which become those; at r from that origin it would read Omega' x r + Omega x (Omega x r) more
     frame_of_acceleration: Annotated[Literal["kinematic", "specific_force"], Choice()] = "kinematic"
     file: Annotated[str | None, File()] = None  # CSV to read, relative to the scenario's file
     samples: Annotated[Matrix | None, Samples()] = None  # (n, 3) [m/s^2], recorded, in W

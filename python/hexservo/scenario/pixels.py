@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,6 +30,11 @@ def has_pixels(camera: Camera) -> bool:
         value is not None
         for value in (camera.focal_pixels, camera.principal_point, lens.brown_conrady, lens.kannala_brandt)
     )
+
+
+def feature_noise(camera: Camera) -> float:
+    """Return the standard deviation of a camera's image coordinates, of noise and rounding together [px]."""
+    return math.hypot(camera.noise, camera.quantisation / math.sqrt(12.0))
 
 
 def has_camera_wrong(scenario: Blocks) -> bool:

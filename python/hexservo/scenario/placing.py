@@ -60,6 +60,36 @@ def read_motion(scenario: Blocks) -> None:
     scenario.__dict__["base_motion"] = BaseMotion.model_validate(plain({**dict(motion), **changes}))
 
 
+def problem_of_recording(held: Any, given: Any) -> str | None:
+    """Return what is wrong with changes to a base's recording that was read; None where nothing is.
+
+    Accelerations that were read are kinematic, and whether gravity was ever in them is not known any more.
+
+    Parameters
+    ----------
+    held, given
+        Block `base_motion` as it is, and the keys of it that change, as plain data.
+    """
+    if not isinstance(held, dict) or not isinstance(given, dict) or held.get("samples") is None:
+        return None
+    if held.get("frame_of_acceleration", "kinematic") != "kinematic":  # not read yet
+        return None
+    new = next((key for key in ("file", "samples") if given.get(key) is not None), None)
+    frame = given.get("frame_of_acceleration")
+    if new is not None and frame is None:
+        return (
+            f"base_motion.frame_of_acceleration: expected it beside base_motion.{new}, since the recording before it "
+            "has become a kinematic one, whatever it was, got none; give kinematic, or specific_force for readings "
+            "of an accelerometer"
+        )
+    if new is None and frame == "specific_force":
+        return (
+            "base_motion.frame_of_acceleration: expected kinematic for a recording that was read, got specific_force, "
+            "by which gravity would be taken out twice; give base_motion.file or base_motion.samples beside it"
+        )
+    return None
+
+
 def _require_front(scenario: Blocks, kind: str, pose: Vector) -> None:
     """Refuse a tag or a grid whose back the camera has before it, at home or at the desired pose."""
     robot, mount = scenario.robot, scenario.camera.mount

@@ -22,7 +22,7 @@ from hexservo.scenario.core_defaults import core_default
 from hexservo.scenario.fitted import chosen_keys, with_fitted_gains, without_fitted_gains
 from hexservo.scenario.keys import sampled_keys, value_at, without_effect
 from hexservo.scenario.parameters import core_parameters
-from hexservo.scenario.placing import read_motion, read_target
+from hexservo.scenario.placing import problem_of_recording, read_motion, read_target
 from hexservo.scenario.plain import plain, put
 from hexservo.scenario.problems import in_words, listing
 from hexservo.scenario.rules import did_you_mean, is_number, shown_value
@@ -129,10 +129,10 @@ class Scenario(Blocks):
             where this scenario differs from its own preset. To give the target's points in the other form, set the
             keys of the first form to None. What was read into other keys is unchanged: a tag, a grid and a
             desired pose are points and features by now, which another camera, mount or home leaves alone, and specific
-            forces are kinematic accelerations: give ``base_motion.frame_of_acceleration`` beside another recording of
-            them. Their weight was taken out with the ``robot.gravity`` that they were read with: another one leaves
-            the difference of the two in them, a constant acceleration of the base that it did not have. `load_scenario`
-            with changes, and ``--set``, read them afterwards.
+            forces are kinematic accelerations: another recording needs ``base_motion.frame_of_acceleration`` beside
+            it, and ``specific_force`` another recording. Their weight was taken out with the ``robot.gravity`` that
+            they were read with: another one leaves the difference of the two in them, a constant acceleration of the
+            base that it did not have. `load_scenario` with changes, and ``--set``, read them afterwards.
 
         Raises
         ------
@@ -294,7 +294,13 @@ def _require_mapping(changes: object) -> None:
 
 def _changed(keys: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     """Put changes by dotted key into a scenario's keys (changed in place)."""
+    alone: dict[str, Any] = {}
+    for path, value in plain(changes).items():
+        put(alone, path, value)
+    of_recording = problem_of_recording(keys.get("base_motion"), alone.get("base_motion"))
     problems = [problem for path, value in plain(changes).items() if (problem := put(keys, path, value))]
+    if of_recording is not None:
+        problems.append(of_recording)
     if problems:
         raise ScenarioError(problems)
     return keys

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -43,13 +44,17 @@ def _base_at_rest(case: Case) -> list[Removal]:
     return [Removal("a base at rest", changes)] if case.sampled and changes else []
 
 
-def _target_motion_alone(case: Case) -> list[Alone]:
+def _motion_alone(*kinds: str) -> Callable[[Case], list[Alone]]:
     """Try a law that follows targets well set too: a motion that only these settings do not follow is not the cause."""
-    without = ideal(case.scenario)
-    moving = {key: value for key, value in without.items() if key != "target.motion.kind"}
-    usual = well_set(case)
-    pairs = [Alone(without, moving)]
-    return [*pairs, Alone({**without, **usual}, {**moving, **usual})] if usual else pairs
+
+    def alone(case: Case) -> list[Alone]:
+        without = ideal(case.scenario)
+        moving = {key: value for key, value in without.items() if key not in kinds}
+        usual = well_set(case)
+        pairs = [Alone(without, moving)]
+        return [*pairs, Alone({**without, **usual}, {**moving, **usual})] if usual else pairs
+
+    return alone
 
 
 # ---- Camera ---------------------------------------------------------------------------------------------------------
@@ -325,13 +330,14 @@ DEVICES: tuple[Cause, ...] = (
         "motion of the base",
         _keys(*keys_below("base_motion"), "target.frame"),
         _base_at_rest,
+        alone=_motion_alone(*BASE_MOTIONS),
     ),
     Cause(
         "target_motion",
         "motion of the target",
         _keys(*keys_below("target.motion")),
         removed_by("target.motion.kind", "none", "a target at rest"),
-        alone=_target_motion_alone,
+        alone=_motion_alone("target.motion.kind"),
     ),
     Cause(
         "gravity",

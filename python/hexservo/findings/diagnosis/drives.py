@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from hexservo.findings.diagnosis.criterion import Record
 from hexservo.findings.diagnosis.environment import ORDINARY_BANDWIDTH, ideal
 from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal, always, removed_by
-from hexservo.findings.diagnosis.remedies import slower_remedies
+from hexservo.findings.diagnosis.remedies import motor_remedies, slower_remedies
 from hexservo.scenario.keys import keys_below
 
 _FRICTION = "actuators.motor.friction"
@@ -50,6 +51,11 @@ def _motors_alone(case: Case) -> list[Alone]:
     return [Alone(ideal(case.scenario), {**_motors_kept(case), _FRICTION: 0.0})]
 
 
+def _motors_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
+    slower = slower_remedies(case, removal, record)[:-1]  # without the removal itself
+    return [*slower, *motor_remedies(case, removal, record)]
+
+
 def _friction_alone(case: Case) -> list[Alone]:
     kept = _motors_kept(case)
     return [Alone({**kept, _FRICTION: 0.0}, kept)]
@@ -75,7 +81,7 @@ DRIVES: tuple[Cause, ...] = (
         "motors that hold the legs softly, or reach their limit",
         _MOTORS - {"actuators.kind", _FRICTION},
         _motors,
-        slower_remedies,
+        _motors_remedies,
         alone=_motors_alone,
     ),
     Cause(
@@ -83,6 +89,7 @@ DRIVES: tuple[Cause, ...] = (
         "dry friction of the legs, which stick and slip",
         frozenset({_FRICTION}),
         removed_by(_FRICTION, 0.0, "legs without dry friction", of=always),
+        motor_remedies,
         alone=_friction_alone,
     ),
 )

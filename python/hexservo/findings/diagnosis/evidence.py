@@ -46,7 +46,7 @@ def _wrong_sign(case: Case, record: Record, judgement: Judgement) -> Signature:
     )
 
 
-def _saturation(case: Case, record: Record, judgement: Judgement) -> Signature:
+def _at_effort_limit(case: Case, record: Record, judgement: Judgement) -> Signature:
     limit = case.scenario.robot.force_limit
     share = float((np.abs(record.samples["leg_forces"]).max(axis=1) >= _AT_LIMIT * limit).mean())
     units = leg_units(case.scenario.robot)
@@ -183,7 +183,8 @@ def _leg_limits(case: Case, record: Record, judgement: Judgement) -> Signature:
 
 SIGNATURES: dict[str, Callable[[Case, Record, Judgement], Signature]] = {
     "wrong_sign": _wrong_sign,
-    "saturation": _saturation,
+    "saturation": _at_effort_limit,
+    "motors": _at_effort_limit,
     "lost_features": _lost_features,
     "gravity": _gravity,
     "unequal_depth": _unequal_depth,

@@ -78,11 +78,21 @@ def _integrating_law(case: Case, virtue: str) -> list[Removal]:
 
 def saturation_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
     """Use stronger legs."""
+    return [_stronger_legs(case, record.metrics["peak_leg_force"])]
+
+
+def motor_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
+    """Use stronger motors, where they are too weak for the efforts of the run without the cause, and for friction."""
+    stronger = _stronger_legs(case, record.metrics["peak_leg_force"] + case.scenario.actuators.motor.friction)
+    weak = stronger.changes["robot.force_limit"] > case.scenario.robot.force_limit
+    return [*([stronger] if weak else []), removal]
+
+
+def _stronger_legs(case: Case, effort: float) -> Removal:
+    """Return legs that give 1.1 times an effort [N], of cranks [N m]."""
     units = leg_units(case.scenario.robot)
-    needed = rounded_up(1.1 * record.metrics["peak_leg_force"])
-    return [
-        Removal(f"legs with a {units.effort_name} limit of {needed:g} {units.effort}", {"robot.force_limit": needed})
-    ]
+    needed = rounded_up(1.1 * effort)
+    return Removal(f"legs with a {units.effort_name} limit of {needed:g} {units.effort}", {"robot.force_limit": needed})
 
 
 def lost_features_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:

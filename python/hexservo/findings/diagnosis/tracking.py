@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from hexservo.findings.diagnosis.environment import ideal
+from hexservo.findings.diagnosis.environment import BASE_MOTIONS, ideal
 from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal
 from hexservo.findings.leg_feedback import feedback_margin, integral_margin
 from hexservo.scenario.keys import keys_below, value_at
 from hexservo.scenario.laws import Tracking
+from hexservo.scenario.pixels import feature_noise
 
 _LAW = "tracking"
 _BLOCK = f"controller.{_LAW}"
@@ -38,6 +38,8 @@ def _alone(changes: Callable[[Case], Mapping[str, Any]], context: tuple[str, ...
 
     def alone(case: Case) -> list[Alone]:
         kept = {key for block in (*_CONTEXT, *context) for key in keys_below(block)}
+        if case.scenario.target.frame == "world":  # which moves before the camera as the base does
+            kept.update(BASE_MOTIONS)
         without = {key: value for key, value in ideal(case.scenario).items() if key not in kept}
         return [Alone({**without, **changes(case)}, without)]
 
@@ -50,10 +52,8 @@ def _led(case: Case) -> Mapping[str, Any]:
 
 def _matched(case: Case) -> Mapping[str, Any]:
     """Return the filter's defaults, with the noise that the features have."""
-    camera = case.scenario.camera
-    noise = math.hypot(camera.noise, camera.quantisation / math.sqrt(12.0))
     usual = {f"{_BLOCK}.{name}": getattr(Tracking(), name) for name in _FILTER}
-    return {**usual, f"{_BLOCK}.noise": max(noise, _LEAST_NOISE)}
+    return {**usual, f"{_BLOCK}.noise": max(feature_noise(case.scenario.camera), _LEAST_NOISE)}
 
 
 def _within_margins(case: Case) -> Mapping[str, Any]:
