@@ -160,8 +160,9 @@ void require_one_grid(const std::vector<Group>& groups) {
 inline constexpr double kOutcomeBytes = 3.0 + 4.0 * (13 + 14);
 
 void require_memory(std::size_t count, std::size_t rows, int points, BatchLog log) {
-  const double per_scenario = kOutcomeBytes + 8.0 * (2.0 + kMetricNumbers + static_cast<double>(rows) * sample_numbers(points) +
-                                           (log == BatchLog::metrics ? 0.0 : kWeightNumbers));
+  const double per_scenario =
+      kOutcomeBytes + 8.0 * (2.0 + kMetricNumbers + static_cast<double>(rows) * sample_numbers(points) +
+                             (log == BatchLog::metrics ? 0.0 : kWeightNumbers));
   const double bytes = per_scenario * static_cast<double>(count);
   if (bytes <= kMaxBatchBytes) return;
   const double gib = 1024.0 * 1024.0 * 1024.0;

@@ -597,6 +597,10 @@ def test_the_seed_draws_the_road(sampled: hs.Scenario) -> None:
         ({"base_motion.rotation": {"kind": "sinusoid", "amplitude": [4, 0, 0]}}, "of at most pi (radians), got 4 rad"),
         ({"base_motion.rotation": {"kind": "sinusoid", "frequency": 2001.0}}, "base_motion.rotation.frequency[0]"),
         ({"base_motion.rotation": {"kind": "noise", "low_frequency": 20}}, "base_motion.rotation.low_frequency: exp"),
+        (
+            {"base_motion.rotation": {"kind": "noise", "high_frequency": 3.5, "level": [0, 0, 1]}},
+            "base_motion.rotation.level: expected levels whose rotation vector stays within 2 pi (radians), at most 0.",
+        ),
         ({"base_motion": {"kind": "road", "rotation": {"kind": "noise"}}}, "base_motion.rotation.kind: expected none"),
         ({"base_motion": {"kind": "road", "road": {"speed": 300.0}}}, "base_motion.road.shortest: expected at least"),
         ({"base_motion": {"kind": "road", "road": {"shortest": 200.0}}}, "base_motion.road.shortest: expected a wave"),
