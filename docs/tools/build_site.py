@@ -262,7 +262,7 @@ def gallery_page(folder: Path, kept: Path) -> str:
     """Return the page of all packaged scenarios, and copy their pictures beside it."""
     text = [
         "# Every packaged scenario\n",
-        "One run of each, drawn by `python docs/tools/gallery.py`. On the left the ways of the four features in the",
+        "One run of each, drawn by `python docs/tools/gallery.py`. On the left the ways of the features in the",
         "image, on the right their errors. `hexservo run NAME` repeats a run, `hexservo show NAME` prints its file.\n",
     ]
     pictures = folder / "gallery"

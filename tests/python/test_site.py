@@ -205,6 +205,13 @@ def test_gallery_draws_a_scenario_once(tmp_path: Path, monkeypatch: pytest.Monke
     assert picture.read_text() == "kept"
 
 
+def test_the_gallery_counts_no_features(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its scenarios have different numbers of points."""
+    monkeypatch.setattr(build_site, "gallery", lambda _: [])
+    assert len({hs.load_scenario(name).target.count for name in hs.scenario_names()}) > 1
+    assert not re.search(r"\b(three|four|five)\b", build_site.gallery_page(tmp_path, tmp_path))
+
+
 def test_gallery_draws_again_after_any_change_of_the_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Verdicts are made by hexservo.run, runs by the compiled modules of the processor's instruction sets."""
     paper, keys = hs.load_scenario("paper"), set()
