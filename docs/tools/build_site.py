@@ -28,6 +28,7 @@ import hexservo as hs
 from gallery import gallery
 from hexservo.report.explorer import ExplorerError, checked_page
 from hexservo.scenario.fields import field_names
+from hexservo.scenario.schema import bounds_of
 
 ROOT = Path(__file__).resolve().parents[2]
 PARTS = ROOT / "docs" / "site"
@@ -36,6 +37,7 @@ GROUPS = {"analysis": "Before a run: analysis", "certificate": "After a run: cer
 # Pages of docs/ that the front page lists by name; all others are guides.
 LISTED = {"model", "errata", "proof", "robustness", "testing", "your-machine"}
 EXPLORER = ROOT / "python" / "hexservo" / "explorer.html"
+BAR = "\\|"  # in a cell of a table
 MARKER = ".hexservo-site"  # in every folder that is written here
 
 # Public names by what they are for, in the order of the reference; a name that is missing here is an error.
@@ -208,7 +210,7 @@ def metrics_page() -> str:
 
 
 def keys_page() -> str:
-    """Return the table of all keys that the core takes, from ``hexservo schema --json``."""
+    """Return the table of all keys, from ``hexservo schema --json``."""
     schema = subprocess.run(
         [sys.executable, "-m", "hexservo", "schema", "--json"], check=True, capture_output=True, text=True
     ).stdout
@@ -221,38 +223,31 @@ def keys_page() -> str:
         )
         shape = "x".join(str(length) for length in field.get("shape", []))
         kind = f"{field['type']} {shape}".strip() + (" or null" if field["optional"] else "")
-        exclusive = field.get("exclusive", [])
-        bounds = [
-            f"{'>' if 'minimum' in exclusive else '≥'} {field['minimum']:g}"
-            if field.get("minimum") is not None
-            else "",
-            f"{'<' if 'maximum' in exclusive else '≤'} {field['maximum']:g}"
-            if field.get("maximum") is not None
-            else "",
-        ]
         default = json.dumps(field.get("default"))
         default = default if len(default) <= 40 else default[:36] + " ..."
         cells = (
             f"`{field['key']}`",
             kind,
             field["unit"],
-            ", ".join(filter(None, bounds)),
+            bounds_of(field),
             f"`{default}`",
             field["mode"],
+            field["meaning"],
         )
-        row = f"| {' | '.join(cells)} |"
+        row = f"| {' | '.join(cell.replace('|', BAR) for cell in cells)} |"
         blocks.setdefault(block, []).append(row)
     text = [
         "# Keys of a scenario\n",
-        "Every number, option and array that the core takes, as `hexservo schema` lists them. What the keys mean is in",
-        "the [README](README.md#scenarios) and in [the model](docs/model.md); keys that Python turns into these, such",
-        "as presets and calibrations, are there too. `sampled` keys act in `simulation.mode: sampled` alone.\n",
+        "Every key of a scenario, as `hexservo schema` lists them, with its meaning in a line; more of it is in",
+        "the [README](README.md#scenarios) and in [the model](docs/model.md). Frames and orders are those of",
+        "[its section 1](docs/model.md#1-frames-units-and-order). `sampled` keys act in `simulation.mode: sampled`",
+        "alone.\n",
     ]
     for block, rows in blocks.items():
         text += [
             f"## {block}\n",
-            "| key | type | unit | bounds | default | mode |",
-            "| --- | --- | --- | --- | --- | --- |",
+            "| key | type | unit | bounds | default | mode | |",
+            "| --- | --- | --- | --- | --- | --- | --- |",
         ]
         text += [*rows, ""]
     return "\n".join(text)

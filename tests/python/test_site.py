@@ -17,6 +17,7 @@ import gallery as gallery_module
 import hexservo as hs
 from gallery import Shown, gallery
 from hexservo.scenario.fields import field_names, fields_of
+from hexservo.scenario.schema import all_keys
 from hexservo.scenario.yaml import load_yaml
 from test_docs import PAGES, ROOT, name_of
 from test_readme import examples, output_of
@@ -86,6 +87,13 @@ def test_keys_of_gains_that_fit_are_a_scenarios() -> None:
 def test_reference_has_every_public_name() -> None:
     pages = build_site.api_pages()
     assert {f"api/{name}.md" for name in hs.__all__ if name != "__version__"} == set(pages) - {"api/index.md"}
+
+
+def test_the_page_of_keys_has_all_of_them_with_their_meaning() -> None:
+    page = build_site.keys_page()
+    rows = re.findall(r"^\| `([\w.]+)` \|.*\| ([^|]+) \|$", page.replace(build_site.BAR, "/"), re.MULTILINE)
+    assert dict(rows) == {entry["key"]: entry["meaning"].replace("|", "/") for entry in all_keys()}
+    assert "| `camera.dropout` | number | 1 | >= 0 and <= 1 | `0.0` | sampled | probability" in page
 
 
 PUBLIC = {name: getattr(hs, name) for name in hs.__all__}
