@@ -1,9 +1,9 @@
 """Builds the site: ``python docs/tools/build_site.py --out build/site`` (`make docs`).
 
 The pages are those of the repository, in the same folders, so that their links hold; links to source files become pages
-of these. Written here are the front page, the reference of the public names, the keys of a scenario, the metrics and
-the gallery. Every warning of Sphinx is an error, and every link within the finished site is followed:
-none is broken, and every page is reached.
+of these. Written here are the front page, the reference of the public names, the commands, the keys of a scenario, the
+metrics, the C++ headers and the gallery. Every warning of Sphinx is an error, and every link within the finished site
+is followed: none is broken, and every page is reached.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from gallery import gallery
 from hexservo.report.explorer import ExplorerError, checked_page
 from hexservo.scenario.fields import field_names
 from hexservo.scenario.schema import bounds_of
+from reference_pages import commands_page, headers_page
 
 ROOT = Path(__file__).resolve().parents[2]
 PARTS = ROOT / "docs" / "site"
@@ -182,18 +183,21 @@ def api_pages() -> dict[str, str]:
 def api_body(name: str, thing: Any) -> str:
     """Return the directive that documents a public name."""
     if isinstance(thing, ModuleType):
-        directive = [f".. automodule:: hexservo.{name}", "   :members:", "   :imported-members:"]
+        directive = [f".. automodule:: hexservo.{name}", ""]
+        directive += [f".. autofunction:: hexservo.{name}.{each}" for each in thing.__all__]
     elif isinstance(thing, dict):
-        return (
-            "A mapping from the name of a metric to its unit and what it is: the table of [metrics](../metrics.md).\n"
+        about = (
+            "   A mapping from the name of a metric to its unit and what it is: the table of :doc:`metrics </metrics>`."
         )
+        directive = [f".. py:data:: hexservo.{name}", "", about]
     elif inspect.isclass(thing) and issubclass(thing, Exception):
         directive = [f".. autoexception:: hexservo.{name}", "   :members:", "   :show-inheritance:"]
     elif inspect.isclass(thing):
         directive = [f".. autoclass:: hexservo.{name}", "   :members:"]
         apart = list(field_names(thing))  # in a table
-        if hasattr(thing, "model_fields"):  # the keys of a scenario have a separate page
+        if hasattr(thing, "model_fields"):
             apart = ["model_config", "model_post_init", *thing.model_fields]
+            directive.insert(0, "Its blocks and their keys: :doc:`/keys`.\n")
         if apart:
             directive.append(f"   :exclude-members: {', '.join(apart)}")
     else:
@@ -337,6 +341,24 @@ def pages_apart(site: Path) -> list[str]:
     return sorted(file.relative_to(site).as_posix() for file in set(site.rglob("*.html")) - found)
 
 
+NO_READER_WANTS = {  # in a page -> what it is
+    "object at 0x": "the address of an object",
+    "_SupportsArray": "internals of NumPy",
+    'Type<span class="colon">:</span>': "a sentence that was taken for the type of a property",
+}
+
+
+def poor_pages(site: Path) -> list[str]:
+    """Return the pages of the reference that document nothing, and those with what was not meant for readers."""
+    found = []
+    for file in sorted((site / "api").glob("*.html")):
+        text = file.read_text(encoding="utf-8")
+        found += [f"{file.name}: {what}" for words, what in NO_READER_WANTS.items() if words in text]
+        if file.name != "index.html" and 'class="sig ' not in text:
+            found.append(f"{file.name}: no documented object")
+    return found
+
+
 # ---- The whole ------------------------------------------------------------------------------------------------------
 
 
@@ -363,6 +385,8 @@ def stage(folder: Path, kept: Path, explorer: Path | None) -> None:
         **{f"{group}.md": group_page(group, names) for group in GROUPS},
         "metrics.md": metrics_page(),
         "keys.md": keys_page(),
+        "commands.md": commands_page(),
+        "headers.md": headers_page(),
         "gallery.md": gallery_page(folder, kept),
         **api_pages(),
     }
@@ -404,6 +428,8 @@ def main() -> None:
         raise SystemExit("\n".join(["Links that lead nowhere:", *broken]))
     if apart := pages_apart(out):
         raise SystemExit("\n".join(["Pages to which no link leads:", *apart]))
+    if poor := poor_pages(out):
+        raise SystemExit("\n".join(["Pages of the reference that are to be better:", *poor]))
     print(f"{len(list(out.rglob('*.html')))} pages; begin with {os.path.relpath(out / 'index.html')}")
 
 
