@@ -33,7 +33,7 @@ def commands_page() -> str:
         records = [record for each in command.params if (record := each.get_help_record(context))]
         if records:
             text += ["| argument or option | |", "| --- | --- |"]
-            text += [f"| `{head.replace(' <str>', '')}` | {in_markdown(told)} |" for head, told in records]
+            text += [f"| `{head.replace(' <str>', '')}` | {in_markdown(meaning)} |" for head, meaning in records]
             text.append("")
     return "\n".join(text)
 

@@ -206,6 +206,19 @@ def test_every_page_of_the_repository_is_in_a_list() -> None:
     assert {name.removesuffix(".md") for name in names} <= listed
 
 
+def test_words_of_the_field_lead_to_ours() -> None:
+    """Readers search for the interaction matrix, and for the keys that stand for what they know from elsewhere."""
+    model = (ROOT / "docs" / "model.md").read_text(encoding="utf-8")
+    section = model[model.index("\n## 5.") : model.index("\n## 6.")]
+    assert "image Jacobian (interaction matrix)" in section
+    table = (ROOT / "docs" / "bridges.md").read_text(encoding="utf-8").split("\n## ")[1]
+    gains = hs.load_scenario("paper").to_mapping()["controller"]["resolved_rate"]
+    named = re.findall(r"`(?:controller\.resolved_rate)?\.?(gain\w*|adaptive|jacobian_at)`", table)
+    assert len(named) == 5
+    assert set(named) < set(gains)
+    assert "(docs/bridges.md#names-signs-and-frames-elsewhere)" in build_site.front_page([], None)
+
+
 def test_links_to_sources_become_pages_and_code_is_left_alone() -> None:
     text = "[a](../cpp/include/hexservo.h) [b](model.md) `[c](../Makefile)` [d](https://x.org/y)\n```\n[e](../Makefile)\n```\n"
     changed = text.replace("../cpp/include/hexservo.h", "source:cpp/include/hexservo.h")
