@@ -220,11 +220,8 @@ def keys_page() -> str:
     ).stdout
     blocks: dict[str, list[str]] = {}
     for field in json.loads(schema):
-        block = (
-            ".".join(field["key"].split(".")[:2])
-            if field["key"].startswith("controller.")
-            else field["key"].split(".")[0]
-        )
+        parts = field["key"].split(".")
+        block = ".".join(parts[: 2 if parts[0] == "controller" else 1]) if len(parts) > 1 else "Of the scenario itself"
         shape = "x".join(str(length) for length in field.get("shape", []))
         kind = f"{field['type']} {shape}".strip() + (" or null" if field["optional"] else "")
         default = json.dumps(field.get("default"))
@@ -232,7 +229,7 @@ def keys_page() -> str:
         cells = (
             f"`{field['key']}`",
             kind,
-            field["unit"],
+            field["unit"] or ", ".join(f"`{choice}`" for choice in field.get("choices", [])),
             bounds_of(field),
             f"`{default}`",
             field["mode"],
@@ -250,7 +247,7 @@ def keys_page() -> str:
     for block, rows in blocks.items():
         text += [
             f"## {block}\n",
-            "| key | type | unit | bounds | default | mode | |",
+            "| key | type | unit or choices | bounds | default | mode | |",
             "| --- | --- | --- | --- | --- | --- | --- |",
         ]
         text += [*rows, ""]

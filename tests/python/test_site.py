@@ -174,6 +174,7 @@ def test_the_page_of_keys_has_all_of_them_with_their_meaning() -> None:
     rows = re.findall(r"^\| `([\w.]+)` \|.*\| ([^|]+) \|$", page.replace(build_site.BAR, "/"), re.MULTILINE)
     assert dict(rows) == {entry["key"]: entry["meaning"].replace("|", "/") for entry in all_keys()}
     assert "| `camera.dropout` | number | 1 | >= 0 and <= 1 | `0.0` | sampled | probability" in page
+    assert '| `camera.axes` | choice | `paper`, `opencv` | | `"paper"` |' in re.sub(" +", " ", page)
 
 
 PUBLIC = {name: getattr(hs, name) for name in hs.__all__}
