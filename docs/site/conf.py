@@ -23,6 +23,7 @@ myst_url_schemes = {"http": None, "https": None, "mailto": None, "source": None}
 suppress_warnings = ["misc.highlighting_failure"]  # outputs in plain blocks
 
 autodoc_typehints = "signature"
+autodoc_type_aliases = {name: name for name in ("Array", "ArrayLike", "Complex", "Mask")}  # not NumPy's definitions
 autodoc_member_order = "bysource"
 autodoc_preserve_defaults = True
 autodoc_class_signature = "mixed"

@@ -1,9 +1,9 @@
 """Builds the site: ``python docs/tools/build_site.py --out build/site`` (`make docs`).
 
 The pages are those of the repository, in the same folders, so that their links hold; links to source files become pages
-of these. Written here are the front page, the reference of the public names, the keys of a scenario, the metrics and
-the gallery. Every warning of Sphinx is an error, and every link within the finished site is followed:
-none is broken, and every page is reached.
+of these. Written here are the front page, the reference of the public names, the commands, the keys of a scenario, the
+metrics, the C++ headers and the gallery. Every warning of Sphinx is an error, and every link within the finished site
+is followed: none is broken, and every page is reached.
 """
 
 from __future__ import annotations
@@ -28,6 +28,8 @@ import hexservo as hs
 from gallery import gallery
 from hexservo.report.explorer import ExplorerError, checked_page
 from hexservo.scenario.fields import field_names
+from hexservo.scenario.schema import bounds_of
+from reference_pages import commands_page, headers_page
 
 ROOT = Path(__file__).resolve().parents[2]
 PARTS = ROOT / "docs" / "site"
@@ -36,6 +38,7 @@ GROUPS = {"analysis": "Before a run: analysis", "certificate": "After a run: cer
 # Pages of docs/ that the front page lists by name; all others are guides.
 LISTED = {"model", "errata", "proof", "robustness", "testing", "your-machine"}
 EXPLORER = ROOT / "python" / "hexservo" / "explorer.html"
+BAR = "\\|"  # in a cell of a table
 MARKER = ".hexservo-site"  # in every folder that is written here
 
 # Public names by what they are for, in the order of the reference; a name that is missing here is an error.
@@ -180,18 +183,21 @@ def api_pages() -> dict[str, str]:
 def api_body(name: str, thing: Any) -> str:
     """Return the directive that documents a public name."""
     if isinstance(thing, ModuleType):
-        directive = [f".. automodule:: hexservo.{name}", "   :members:", "   :imported-members:"]
+        directive = [f".. automodule:: hexservo.{name}", ""]
+        directive += [f".. autofunction:: hexservo.{name}.{each}" for each in thing.__all__]
     elif isinstance(thing, dict):
-        return (
-            "A mapping from the name of a metric to its unit and what it is: the table of [metrics](../metrics.md).\n"
+        about = (
+            "   A mapping from the name of a metric to its unit and what it is: the table of :doc:`metrics </metrics>`."
         )
+        directive = [f".. py:data:: hexservo.{name}", "", about]
     elif inspect.isclass(thing) and issubclass(thing, Exception):
         directive = [f".. autoexception:: hexservo.{name}", "   :members:", "   :show-inheritance:"]
     elif inspect.isclass(thing):
         directive = [f".. autoclass:: hexservo.{name}", "   :members:"]
         apart = list(field_names(thing))  # in a table
-        if hasattr(thing, "model_fields"):  # the keys of a scenario have a separate page
+        if hasattr(thing, "model_fields"):
             apart = ["model_config", "model_post_init", *thing.model_fields]
+            directive.insert(0, "Its blocks and their keys: :doc:`/keys`.\n")
         if apart:
             directive.append(f"   :exclude-members: {', '.join(apart)}")
     else:
@@ -208,51 +214,41 @@ def metrics_page() -> str:
 
 
 def keys_page() -> str:
-    """Return the table of all keys that the core takes, from ``hexservo schema --json``."""
+    """Return the table of all keys, from ``hexservo schema --json``."""
     schema = subprocess.run(
         [sys.executable, "-m", "hexservo", "schema", "--json"], check=True, capture_output=True, text=True
     ).stdout
     blocks: dict[str, list[str]] = {}
     for field in json.loads(schema):
-        block = (
-            ".".join(field["key"].split(".")[:2])
-            if field["key"].startswith("controller.")
-            else field["key"].split(".")[0]
-        )
+        parts = field["key"].split(".")
+        block = ".".join(parts[: 2 if parts[0] == "controller" else 1]) if len(parts) > 1 else "Of the scenario itself"
         shape = "x".join(str(length) for length in field.get("shape", []))
         kind = f"{field['type']} {shape}".strip() + (" or null" if field["optional"] else "")
-        exclusive = field.get("exclusive", [])
-        bounds = [
-            f"{'>' if 'minimum' in exclusive else '≥'} {field['minimum']:g}"
-            if field.get("minimum") is not None
-            else "",
-            f"{'<' if 'maximum' in exclusive else '≤'} {field['maximum']:g}"
-            if field.get("maximum") is not None
-            else "",
-        ]
         default = json.dumps(field.get("default"))
         default = default if len(default) <= 40 else default[:36] + " ..."
         cells = (
             f"`{field['key']}`",
             kind,
-            field["unit"],
-            ", ".join(filter(None, bounds)),
+            field["unit"] or ", ".join(f"`{choice}`" for choice in field.get("choices", [])),
+            bounds_of(field),
             f"`{default}`",
             field["mode"],
+            field["meaning"],
         )
-        row = f"| {' | '.join(cells)} |"
+        row = f"| {' | '.join(cell.replace('|', BAR) for cell in cells)} |"
         blocks.setdefault(block, []).append(row)
     text = [
         "# Keys of a scenario\n",
-        "Every number, option and array that the core takes, as `hexservo schema` lists them. What the keys mean is in",
-        "the [README](README.md#scenarios) and in [the model](docs/model.md); keys that Python turns into these, such",
-        "as presets and calibrations, are there too. `sampled` keys act in `simulation.mode: sampled` alone.\n",
+        "Every key of a scenario, as `hexservo schema` lists them, with its meaning in a line; more of it is in",
+        "the [README](README.md#scenarios) and in [the model](docs/model.md). Frames and orders are those of",
+        "[its section 1](docs/model.md#1-frames-units-and-order). `sampled` keys act in `simulation.mode: sampled`",
+        "alone.\n",
     ]
     for block, rows in blocks.items():
         text += [
             f"## {block}\n",
-            "| key | type | unit | bounds | default | mode |",
-            "| --- | --- | --- | --- | --- | --- |",
+            "| key | type | unit or choices | bounds | default | mode | |",
+            "| --- | --- | --- | --- | --- | --- | --- |",
         ]
         text += [*rows, ""]
     return "\n".join(text)
@@ -262,7 +258,7 @@ def gallery_page(folder: Path, kept: Path) -> str:
     """Return the page of all packaged scenarios, and copy their pictures beside it."""
     text = [
         "# Every packaged scenario\n",
-        "One run of each, drawn by `python docs/tools/gallery.py`. On the left the ways of the four features in the",
+        "One run of each, drawn by `python docs/tools/gallery.py`. On the left the ways of the features in the",
         "image, on the right their errors. `hexservo run NAME` repeats a run, `hexservo show NAME` prints its file.\n",
     ]
     pictures = folder / "gallery"
@@ -342,6 +338,24 @@ def pages_apart(site: Path) -> list[str]:
     return sorted(file.relative_to(site).as_posix() for file in set(site.rglob("*.html")) - found)
 
 
+NO_READER_WANTS = {  # in a page -> what it is
+    "object at 0x": "the address of an object",
+    "_SupportsArray": "internals of NumPy",
+    'Type<span class="colon">:</span>': "a sentence that was taken for the type of a property",
+}
+
+
+def poor_pages(site: Path) -> list[str]:
+    """Return the pages of the reference that document nothing, and those with what was not meant for readers."""
+    found = []
+    for file in sorted((site / "api").glob("*.html")):
+        text = file.read_text(encoding="utf-8")
+        found += [f"{file.name}: {what}" for words, what in NO_READER_WANTS.items() if words in text]
+        if file.name != "index.html" and 'class="sig ' not in text:
+            found.append(f"{file.name}: no documented object")
+    return found
+
+
 # ---- The whole ------------------------------------------------------------------------------------------------------
 
 
@@ -368,6 +382,8 @@ def stage(folder: Path, kept: Path, explorer: Path | None) -> None:
         **{f"{group}.md": group_page(group, names) for group in GROUPS},
         "metrics.md": metrics_page(),
         "keys.md": keys_page(),
+        "commands.md": commands_page(),
+        "headers.md": headers_page(),
         "gallery.md": gallery_page(folder, kept),
         **api_pages(),
     }
@@ -409,6 +425,8 @@ def main() -> None:
         raise SystemExit("\n".join(["Links that lead nowhere:", *broken]))
     if apart := pages_apart(out):
         raise SystemExit("\n".join(["Pages to which no link leads:", *apart]))
+    if poor := poor_pages(out):
+        raise SystemExit("\n".join(["Pages of the reference that are to be better:", *poor]))
     print(f"{len(list(out.rglob('*.html')))} pages; begin with {os.path.relpath(out / 'index.html')}")
 
 

@@ -11,6 +11,7 @@ import posixpath
 import re
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from docutils import nodes
 from pygments import highlight
@@ -24,6 +25,7 @@ from hexservo.scenario.fields import field_names, fields_of
 ROOT = Path(__file__).resolve().parents[2]
 SCHEME = "source:"
 FOLDER = "source"  # of the pages, in the site
+PROPERTIES: dict[str, list[str]] = {}  # docstrings by name, while Napoleon has them
 
 PAGE = """<!doctype html>
 <html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
@@ -44,8 +46,10 @@ def source_page(path: str) -> str:
     file = ROOT / path
     home = "../" * (path.count("/") + 1) + "index.html"
     if file.is_dir():
-        names = sorted(each.name for each in file.iterdir() if each.is_file() and not each.name.startswith("."))
-        text = f"<ul>{''.join(f'<li>{html.escape(name)}</li>' for name in names)}</ul>"
+        links = (
+            f'<li><a href="{quote(f"{file.name}/{name}")}.html">{html.escape(name)}</a></li>' for name in inside(file)
+        )
+        text = f"<ul>{''.join(links)}</ul>"
     else:
         try:
             lexer = get_lexer_for_filename(file.name)
@@ -56,6 +60,21 @@ def source_page(path: str) -> str:
     return PAGE.format(name=html.escape(path), home=home, light=styles[0], dark=styles[1], text=text)
 
 
+def inside(folder: Path) -> list[str]:
+    """Return the names of the files and folders in a folder of the repository."""
+    return sorted(each.name for each in folder.iterdir() if not each.name.startswith((".", "__pycache__")))
+
+
+def write_source_pages(site: Path, path: str) -> None:
+    """Write the page of a file or folder, and those of all that is in a folder."""
+    written = site / FOLDER / f"{path}.html"
+    written.parent.mkdir(parents=True, exist_ok=True)
+    written.write_text(source_page(path), encoding="utf-8")
+    if (ROOT / path).is_dir():
+        for name in inside(ROOT / path):
+            write_source_pages(site, f"{path}/{name}")
+
+
 def point_to_sources(app: Sphinx, tree: nodes.document, page: str) -> None:
     """Turn links to source files into links to their pages, which are written here."""
     for link in tree.findall(nodes.reference):
@@ -64,9 +83,7 @@ def point_to_sources(app: Sphinx, tree: nodes.document, page: str) -> None:
         path = link["refuri"].removeprefix(SCHEME)
         name = f"{FOLDER}/{path}.html"
         if app.builder.format == "html":
-            written = Path(app.outdir, name)
-            written.parent.mkdir(parents=True, exist_ok=True)
-            written.write_text(source_page(path), encoding="utf-8")
+            write_source_pages(Path(app.outdir), path)
         link["refuri"] = posixpath.relpath(name, posixpath.dirname(page) or ".")
         link["internal"] = True
 
@@ -76,14 +93,21 @@ def own_fields(kind: Any) -> list[tuple[str, str, str]]:
     return fields_of(kind) if field_names(kind) else []
 
 
-def leave_fields_out(app: Sphinx, what: str, name: str, kind: Any, options: Any, lines: list[str]) -> None:
-    """Cut the section of the fields off: the site has them in a table."""
+def before_napoleon(app: Sphinx, what: str, name: str, kind: Any, options: Any, lines: list[str]) -> None:
+    """Cut the section of the fields off: the site has them in a table. Keep a copy of what a property has."""
+    if what == "property":
+        PROPERTIES[name] = list(lines)
     if own_fields(kind) and "Attributes" in lines:
         del lines[lines.index("Attributes") :]
 
 
 def edit_docstring(app: Sphinx, what: str, name: str, kind: Any, options: Any, lines: list[str]) -> None:
-    """Link the pages that a docstring names, and append the fields of a class as a table."""
+    """Link the pages that a docstring names, and append the fields of a class as a table.
+
+    A property has its own text again: Napoleon takes what is before a colon in its first line for a type.
+    """
+    if what == "property":
+        lines[:] = PROPERTIES.pop(name)
     lines[:] = [re.sub(r"(?<![`/\w])docs/([\w/-]+)\.md", page_link, line) for line in lines]
     fields = own_fields(kind) if what in ("class", "exception") else []
     if fields:
@@ -101,14 +125,17 @@ def page_link(name: re.Match[str]) -> str:
 def drop_signature(
     app: Sphinx, what: str, name: str, kind: Any, options: Any, signature: str | None, returned: str | None
 ) -> tuple[str, str] | None:
-    """Leave the signature of a class with fields out: users read them, from the table, and make no such object."""
-    return ("", "") if own_fields(kind) else None
+    """Leave the signature of a class with fields out: users read them, from the table, and make no such object.
+
+    Nor do they make a scenario by its keys, which have a page.
+    """
+    return ("", "") if own_fields(kind) or hasattr(kind, "model_fields") else None
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
     """Connect the parts to Sphinx."""
     app.connect("doctree-resolved", point_to_sources)
-    app.connect("autodoc-process-docstring", leave_fields_out, priority=400)  # before Napoleon
+    app.connect("autodoc-process-docstring", before_napoleon, priority=400)
     app.connect("autodoc-process-docstring", edit_docstring, priority=600)  # after Napoleon
     app.connect("autodoc-process-signature", drop_signature)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}

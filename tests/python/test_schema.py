@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from typing import Any
 
 import numpy as np
@@ -10,27 +11,29 @@ import pytest
 from pydantic.fields import FieldInfo
 from typer.testing import CliRunner
 
+import hexservo as hs
 from hexservo import _core
 from hexservo.cli.commands import app
+from hexservo.scenario import schema as schema_module
 from hexservo.scenario.blocks import Blocks
 from hexservo.scenario.keys import leaves
 from hexservo.scenario.laws import ALL_LAWS
 from hexservo.scenario.rules import ArrayRule, Choice, Flag, Inertia, Integer, Number, Rule, TableRule, TrueOr
-from hexservo.scenario.schema import schema
+from hexservo.scenario.schema import all_keys, bounds_of, schema
 
-# What the core has no use for: names, and what is read into other keys.
+# What the core has no use for: names, and what is read into other keys; with their types.
 OF_PYTHON = {
-    "name",
-    "description",
-    "robot.preset",
-    "base_motion.file",
-    "base_motion.frame_of_acceleration",
-    "target.motion.file",
-    "controller.law",
-    "target.desired_pose",
-    "target.tag",
-    "target.grid",
-    *(f"controller.{law}.auto.{key}" for law in ALL_LAWS for key in ("bandwidth", "damping")),
+    "name": "text",
+    "description": "text",
+    "robot.preset": "choice",
+    "base_motion.file": "text",
+    "base_motion.frame_of_acceleration": "choice",
+    "target.motion.file": "text",
+    "controller.law": "choice",
+    "target.desired_pose": "array",
+    "target.tag": "mapping",
+    "target.grid": "mapping",
+    **{f"controller.{law}.auto.{key}": "number" for law in ALL_LAWS for key in ("bandwidth", "damping")},
 }
 FIELDS: dict[str, tuple[FieldInfo, bool]] = {path: (field, sampled) for path, field, sampled in leaves(Blocks)}
 ENTRIES: dict[str, dict[str, Any]] = {entry["key"]: entry for entry in schema()}
@@ -41,7 +44,7 @@ def rule_of(key: str) -> Rule:
 
 
 def test_the_blocks_have_the_keys_of_the_core() -> None:
-    assert set(FIELDS) - OF_PYTHON == set(ENTRIES)
+    assert set(FIELDS) - set(OF_PYTHON) == set(ENTRIES)
     assert set(ALL_LAWS) == set(_core.LAW_TRAITS)
 
 
@@ -109,7 +112,61 @@ def test_a_key_has_the_same_default(key: str) -> None:
         np.testing.assert_array_equal(np.broadcast_to(np.asarray(value), expected.shape), expected, err_msg=str(law))
 
 
+ALL = {entry["key"]: entry for entry in all_keys()}
+
+
+def test_every_key_of_a_scenario_is_listed() -> None:
+    def paths(values: dict[str, Any], head: str = "") -> set[str]:
+        inner = [
+            paths(value, f"{head}{key}.") if isinstance(value, dict) else {head + key} for key, value in values.items()
+        ]
+        return set().union(*inner)
+
+    assert set(ALL) == paths(hs.load_scenario("paper").to_mapping())
+    assert {key: entry["type"] for key, entry in ALL.items() if key not in ENTRIES} == OF_PYTHON
+    assert {key: {**entry, "meaning": ALL[key]["meaning"]} for key, entry in ENTRIES.items()} == {
+        key: entry for key, entry in ALL.items() if key in ENTRIES
+    }
+
+
+@pytest.mark.parametrize("key", ALL)
+def test_a_key_has_a_meaning(key: str) -> None:
+    """Not its unit and shape alone."""
+    assert re.search(r"[a-z]{2}|k1", re.sub(r"\[.*?\]|\(.*?\)", "", ALL[key]["meaning"]))
+
+
+def test_keys_of_python_have_what_their_rules_take() -> None:
+    law, damping = ALL["controller.law"], ALL["controller.pbvs.auto.damping"]
+    assert (law["choices"], law["optional"], law["default"]) == (list(ALL_LAWS), False, "hybrid")
+    assert (bounds_of(damping), damping["default"], damping["unit"]) == (">= 0.01 and <= 100", 1.0, "1")
+    assert ALL["controller.pbvs.auto.bandwidth"]["unit"] == "Hz"
+    assert ALL["target.desired_pose"] | {"meaning": ""} == {
+        "key": "target.desired_pose",
+        "type": "array",
+        "unit": "m; rad",
+        "optional": True,
+        "shape": [6],
+        "form": "all",
+        "default": None,
+        "mode": "any",
+        "meaning": "",
+    }
+    assert (ALL["base_motion.file"]["mode"], ALL["base_motion.file"]["optional"]) == ("sampled", True)
+
+
+def test_the_keys_are_listed_without_their_source(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(schema_module, "meanings_of", lambda _: (_ for _ in ()).throw(OSError()))
+    assert {entry["meaning"] for entry in all_keys()} == {""}
+
+
+def test_the_command_prints_the_bounds() -> None:
+    result = CliRunner().invoke(app, ["schema"])
+    assert result.exit_code == 0
+    assert re.search(r"^camera\.dropout +number >= 0 and <= 1 +1 +0\.0 *$", result.stdout, re.MULTILINE)
+    assert re.search(r"^controller\.law +choice +hybrid \| ", result.stdout, re.MULTILINE)
+
+
 def test_the_command_prints_it_as_json() -> None:
     result = CliRunner().invoke(app, ["schema", "--json"])
     assert result.exit_code == 0
-    assert json.loads(result.stdout) == json.loads(json.dumps(schema()))
+    assert json.loads(result.stdout) == json.loads(json.dumps(all_keys()))

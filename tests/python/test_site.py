@@ -9,14 +9,19 @@ import shlex
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
+from typer.main import get_command
 
 import build_site
 import gallery as gallery_module
 import hexservo as hs
+import reference_pages
 from gallery import Shown, gallery
+from hexservo.cli.commands import app
 from hexservo.scenario.fields import field_names, fields_of
+from hexservo.scenario.schema import all_keys
 from hexservo.scenario.yaml import load_yaml
 from test_docs import PAGES, ROOT, name_of
 from test_readme import examples, output_of
@@ -30,7 +35,7 @@ GUIDES: dict[str, list[str]] = {
 }
 TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
 LAST_LINES = {
-    "camera": r"\(605\.0, 604\.0\)",
+    "camera": r"settles in 0\.444 s",
     "campaign": r"\d+ of 400 runs fails?: the failure probability is between .*",
     "paper": r"0\.55 s",
     "robot": r"valid",
@@ -88,6 +93,90 @@ def test_reference_has_every_public_name() -> None:
     assert {f"api/{name}.md" for name in hs.__all__ if name != "__version__"} == set(pages) - {"api/index.md"}
 
 
+def test_the_names_of_a_module_are_documented_one_by_one() -> None:
+    """Those of hs.bridges are imported when they are first used: its members are not listed by itself."""
+    pages = build_site.api_pages()
+    for module in ("bridges", "plots"):
+        named = re.findall(rf"autofunction:: hexservo\.{module}\.(\w+)", pages[f"api/{module}.md"])
+        assert named == getattr(hs, module).__all__
+    assert ":doc:`/keys`" in pages["api/Scenario.md"]
+
+
+def test_poor_pages_of_the_reference_are_found(tmp_path: Path) -> None:
+    good = '<dt class="sig sig-object">x</dt>'
+    bad = {
+        "address": f"{good}Rule object at 0x7f",
+        "empty": "<p>x</p>",
+        "numpy": f"{good}_SupportsArray",
+        "property": f'{good}<dt class="field-odd">Type<span class="colon">:</span></dt>',
+    }
+    for name, text in {**bad, "good": good, "index": ""}.items():
+        build_site.write(tmp_path / "api" / f"{name}.html", text)
+    assert [line.split(".html: ")[0] for line in build_site.poor_pages(tmp_path)] == sorted(bad)
+
+
+def test_the_page_of_commands_has_all_options() -> None:
+    page = reference_pages.commands_page()
+    group: Any = get_command(app)
+    for name, command in group.commands.items():
+        (section,) = re.findall(rf"^## {name}\n(.*?)(?=^## |\Z)", page, re.MULTILINE | re.DOTALL)
+        assert section.strip().startswith(f"```text\nhexservo {name}")
+        for option in command.params:
+            assert all(word in section for word in option.opts if word.startswith("--")), option.opts
+    assert "`--out` writes figures" in page  # not as a dash
+    assert r"path of a result.nc that `run --out` wrote" in page
+    assert "`--scenarios NAMES`" in page
+    assert r"\[required\]" in page
+    assert "Exit codes: 0 done" in page
+
+
+def test_the_page_of_headers_has_each_with_its_purpose(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = reference_pages.headers_page()
+    files = [file.relative_to(ROOT).as_posix() for file in (ROOT / "cpp" / "include").rglob("*.h*")]
+    assert sorted(re.findall(r"source:([\w/.]+)", page)) == sorted(files)
+    assert "| All control laws. |" in page
+    assert (
+        "| The servo tick: what a robot's control computer calls at every period ([docs/model.md](docs/model.md), "
+        in page
+    )
+    for heading in re.findall(r"(?:start-after|end-before): \"(.*)\"", page):
+        assert f"\n{heading}\n" in (ROOT / "README.md").read_text(encoding="utf-8")
+    monkeypatch.setattr(reference_pages, "ROOT", tmp_path)
+    monkeypatch.setattr(reference_pages, "HEADERS", tmp_path)
+    build_site.write(tmp_path / "new.hpp", "#pragma once\n")
+    with pytest.raises(SystemExit, match=r"new\.hpp: expected a first comment"):
+        reference_pages.headers_page()
+
+
+def test_the_page_of_a_folder_leads_to_all_that_is_in_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("sphinx")
+    import site_extension
+
+    monkeypatch.setattr(site_extension, "ROOT", tmp_path / "repository")
+    for name in ("a/b.hpp", "a/c/d e.hpp", "a/.hidden"):
+        build_site.write(tmp_path / "repository" / name, "int x;\n")
+    site = tmp_path / "site"
+    build_site.write(site / "index.html", '<a href="source/a.html">a</a>')
+    site_extension.write_source_pages(site, "a")
+    written = sorted(file.relative_to(site).as_posix() for file in site.rglob("*.html"))
+    assert written == [
+        "index.html",
+        "source/a.html",
+        "source/a/b.hpp.html",
+        "source/a/c.html",
+        "source/a/c/d e.hpp.html",
+    ]
+    assert build_site.broken_links(site) == build_site.pages_apart(site) == []
+
+
+def test_the_page_of_keys_has_all_of_them_with_their_meaning() -> None:
+    page = build_site.keys_page()
+    rows = re.findall(r"^\| `([\w.]+)` \|.*\| ([^|]+) \|$", page.replace(build_site.BAR, "/"), re.MULTILINE)
+    assert dict(rows) == {entry["key"]: entry["meaning"].replace("|", "/") for entry in all_keys()}
+    assert "| `camera.dropout` | number | 1 | >= 0 and <= 1 | `0.0` | sampled | probability" in page
+    assert '| `camera.axes` | choice | `paper`, `opencv` | | `"paper"` |' in re.sub(" +", " ", page)
+
+
 PUBLIC = {name: getattr(hs, name) for name in hs.__all__}
 WITH_FIELDS = {name: thing for name, thing in PUBLIC.items() if field_names(thing)}
 
@@ -116,6 +205,19 @@ def test_every_page_of_the_repository_is_in_a_list() -> None:
         assert group in listed
         listed |= set(build_site.group_page(group, names).splitlines())
     assert {name.removesuffix(".md") for name in names} <= listed
+
+
+def test_words_of_the_field_lead_to_ours() -> None:
+    """Readers search for the interaction matrix, and for the keys that stand for what they know from elsewhere."""
+    model = (ROOT / "docs" / "model.md").read_text(encoding="utf-8")
+    section = model[model.index("\n## 5.") : model.index("\n## 6.")]
+    assert "image Jacobian (interaction matrix)" in section
+    table = (ROOT / "docs" / "bridges.md").read_text(encoding="utf-8").split("\n## ")[1]
+    gains = hs.load_scenario("paper").to_mapping()["controller"]["resolved_rate"]
+    named = re.findall(r"`(?:controller\.resolved_rate)?\.?(gain\w*|adaptive|jacobian_at)`", table)
+    assert len(named) == 5
+    assert set(named) < set(gains)
+    assert "(docs/bridges.md#names-signs-and-frames-elsewhere)" in build_site.front_page([], None)
 
 
 def test_links_to_sources_become_pages_and_code_is_left_alone() -> None:
@@ -203,6 +305,13 @@ def test_gallery_draws_a_scenario_once(tmp_path: Path, monkeypatch: pytest.Monke
     picture.write_text("kept")
     assert gallery(tmp_path) == [Shown(**dataclasses.asdict(first))]
     assert picture.read_text() == "kept"
+
+
+def test_the_gallery_counts_no_features(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its scenarios have different numbers of points."""
+    monkeypatch.setattr(build_site, "gallery", lambda _: [])
+    assert len({hs.load_scenario(name).target.count for name in hs.scenario_names()}) > 1
+    assert not re.search(r"\b(three|four|five)\b", build_site.gallery_page(tmp_path, tmp_path))
 
 
 def test_gallery_draws_again_after_any_change_of_the_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

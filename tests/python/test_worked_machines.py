@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,8 @@ from hexservo.scenario.arrays import Array
 from hexservo.scenario.fitted import auto_of
 from hexservo.scenario.parameters import core_parameters
 
+ROOT = Path(__file__).resolve().parents[2]
+README, GUIDE = ROOT / "README.md", ROOT / "docs" / "your-machine.md"
 DEGREE = np.pi / 180
 # What the sources state, towards minus and plus [m; rad], each alone; and how well the machine reproduces it.
 LIMITS = {
@@ -91,6 +94,16 @@ def test_it_settles_without_a_warning(name: str) -> None:
     assert metrics["settling_time"] < 3.0 / bandwidth
     assert metrics["rms_error"] < 2.0 * scenario.camera.noise + 0.2
     assert np.abs(result.feature_error[0]).max() > 10 * scenario.metrics.band
+    if not name.endswith("-positions"):
+        stated = f"{metrics['settling_time']:.2f} s"
+        assert [stated in line for line in lines_with(GUIDE, f"| `{name}` |.* Hz |")] == [True]
+        assert [stated in line for line in lines_with(README, "Your machine from its data sheet: four")] == [True]
+
+
+def lines_with(page: Path, words: str) -> list[str]:
+    return [
+        line for line in page.read_text(encoding="utf-8").splitlines() if re.search(words.replace("|", r"\|"), line)
+    ]
 
 
 @pytest.mark.parametrize("name", presets.MACHINES)

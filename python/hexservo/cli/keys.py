@@ -15,20 +15,21 @@ def schema(
 ) -> None:
     """List all keys of a scenario.
 
-    Each has its type, its unit or choices, and its default, from the core; --json adds the bounds.
+    Each has its type with its bounds, its unit or choices, and its default; --json adds what it means.
     """
     with errors_as_messages():
-        from hexservo.scenario.schema import schema as entries
+        from hexservo.scenario.schema import all_keys, bounds_of
 
         if as_json:
-            write(json.dumps(entries(), indent=2) + "\n", encoding="utf-8")
+            write(json.dumps(all_keys(), indent=2) + "\n", encoding="utf-8")
             return
         from rich.table import Table
 
         table = Table.grid(padding=(0, 2))
-        for entry in entries():
+        for entry in all_keys():
+            kind = f"{entry['type']} {bounds_of(entry)}".strip()
             values = " | ".join(entry["choices"]) if "choices" in entry else entry["unit"]
-            table.add_row(entry["key"], entry["type"], values, _shortened(json.dumps(entry["default"])))
+            table.add_row(entry["key"], kind, values, _shortened(json.dumps(entry["default"])))
         show_parts(table)
 
 

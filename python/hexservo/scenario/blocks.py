@@ -107,14 +107,13 @@ class Robot(Block):
     section 1; legs: section 2.
     """
 
-    preset: Annotated[str | None, Choice(ROBOT_PRESETS, or_null=True)] = None
-    # joints on circles about E's and B's origin, or null where they are given one by one
-    platform_radius: Annotated[float | None, OptionalNumber(above=0)]  # [m], circle of the platform joints
-    base_radius: Annotated[float | None, OptionalNumber(above=0)]  # [m], circle of the base joints
-    platform_angles: Annotated[Vector | None, ArrayRule((6,), Angle(), or_null=True)]  # (6,) [rad], on it, in E
-    base_angles: Annotated[Vector | None, ArrayRule((6,), Angle(), or_null=True)]  # (6,) [rad], on it, in B
-    platform_joints: Annotated[Matrix | None, ArrayRule((6, 3), or_null=True)] = None  # (6, 3) [m], in E
-    base_joints: Annotated[Matrix | None, ArrayRule((6, 3), or_null=True)] = None  # (6, 3) [m], in B
+    preset: Annotated[str | None, Choice(ROBOT_PRESETS, or_null=True)] = None  # a machine, for keys that are not given
+    platform_radius: Annotated[float | None, OptionalNumber(above=0)]  # [m], circle of the platform joints about E
+    base_radius: Annotated[float | None, OptionalNumber(above=0)]  # [m], circle of the base joints about B
+    platform_angles: Annotated[Vector | None, ArrayRule((6,), Angle(), or_null=True)]  # (6,) [rad], on the circle, in E
+    base_angles: Annotated[Vector | None, ArrayRule((6,), Angle(), or_null=True)]  # (6,) [rad], on the circle, in B
+    platform_joints: Annotated[Matrix | None, ArrayRule((6, 3), or_null=True)] = None  # (6, 3) [m], in E; no circle
+    base_joints: Annotated[Matrix | None, ArrayRule((6, 3), or_null=True)] = None  # (6, 3) [m], in B; no circle
     home_position: Annotated[Vector, ArrayRule((3,))]  # (3,) [m], of E's origin in B; z points down
     home_attitude: Annotated[Vector, ArrayRule((3,), Angle())] = (0.0, 0.0, 0.0)  # (3,) [rad], rotation vector, in B
     # prismatic: leg lengths are driven; rotary: cranks with rods; then coordinates of the legs are angles [rad] and
@@ -130,9 +129,8 @@ class Robot(Block):
     stroke: PositiveNumber
     stroke_centre: Annotated[float, Number()] = 0.0  # [m] or [rad], middle of the travel, from the home length
     force_limit: PositiveNumber  # [N] or [N m], magnitude of each leg's effort
-    speed_limit: Annotated[float | None, OptionalNumber(above=0)] = (
-        None  # [m/s] or [rad/s], magnitude of each leg's rate
-    )
+    # [m/s] or [rad/s], magnitude of each leg's rate
+    speed_limit: Annotated[float | None, OptionalNumber(above=0)] = None
     # (2,) [rad], largest angle between a leg and its direction at home, seen from the base and from the platform
     joint_limit: Annotated[Vector | None, ArrayRule((2,), HALF_TURN, or_null=True)] = None
     # in sampled mode: what a leg beyond its stroke, speed limit or joint limit means, an event or the end of the run
@@ -223,9 +221,9 @@ class Camera(Block):
     (``simulation.step``); docs/model.md section 7.
     """
 
-    # [m] and [px/m]; null where focal_pixels takes their place
+    # [m]; null where focal_pixels takes its place
     focal_length: Annotated[float, OptionalNumber(above=0)] = from_core("camera.focal_length")
-    pixel_scale: Annotated[float, OptionalNumber(above=0)] = from_core("camera.pixel_scale")
+    pixel_scale: Annotated[float, OptionalNumber(above=0)] = from_core("camera.pixel_scale")  # [px/m], likewise
     # [px], one number or (f_x, f_y), in place of focal_length and pixel_scale
     focal_pixels: Annotated[float | Vector | None, ArrayRule((2,), POSITIVE, or_number=True, or_null=True)] = None
     # (2,) [px], counted from the centre of the first pixel; null: pixels count from the image centre
@@ -234,6 +232,7 @@ class Camera(Block):
     axes: Annotated[Literal["paper", "opencv"], Choice()] = "paper"
     distortion: Distortion = Field(default_factory=Distortion)
     mount: CameraMount = Field(default_factory=CameraMount)
+    # eye_in_hand: the image of the points by (4), s = -1; as_printed: the features integrate (8) as it stands, s = 1
     convention: Annotated[Literal["eye_in_hand", "as_printed"], Choice()] = "eye_in_hand"
     # [s], between exposures; null: the servo period, which a scenario in sampled mode fills in
     period: Annotated[float | None, OptionalNumber(above=0), SAMPLED] = None
@@ -340,7 +339,7 @@ class Target(Block):
     """
 
     initial_features: Annotated[Vector | None, PointsRule((8,), or_null=True, each=2)] = None  # (2n,) [px], from home
-    # (2n,) [px]; null only until a desired pose has been read
+    # (2n,) [px], at the goal; null only until a desired pose has been read
     desired_features: Annotated[Vector, PointsRule((8,), or_null=True, each=2)]
     # (6,) [m; rad], displacement from home, in B: difference of the positions, rotation vector
     desired_pose: Annotated[Vector | None, DisplacementRule()] = None
@@ -348,8 +347,8 @@ class Target(Block):
     depth: Annotated[float | Vector | None, PointsRule((4,), POSITIVE, or_number=True, or_null=True)] = None
     # (n, 3) [m], in the target's frame
     points: Annotated[Matrix | None, PointsRule((4, 3), or_null=True, each=3, rows=True)] = None
-    tag: Annotated[Tag | None, TagRule()] = None
-    grid: Annotated[Grid | None, GridRule()] = None
+    tag: Annotated[Tag | None, TagRule()] = None  # size and pose [m; rad] of a square tag, in place of points
+    grid: Annotated[Grid | None, GridRule()] = None  # rows, columns, spacing, pose [m; rad] of a grid, likewise
     # w, what each point counts in the controller's sums over the image [1]: one for all points or (n,)
     weights: Annotated[float | Vector, PointsRule((4,), NOT_NEGATIVE, or_number=True)] = 1.0
     # base: the points ride on B; world: they do not, and W is where B rests without motion
@@ -405,14 +404,12 @@ class Uncertainty(Block):
     (1 + delta) times the true depth of a point. Arrays act element by element.
     """
 
-    inertia: Annotated[float | Matrix, ArrayRule((6, 6), RELATIVE_ERROR, or_number=True)] = 0.0
-    coriolis: Annotated[float | Matrix, ArrayRule((6, 6), RELATIVE_ERROR, or_number=True)] = 0.0
-    gravity: Annotated[float | Vector, ArrayRule((6,), RELATIVE_ERROR, or_number=True)] = 0.0
-    depth: Annotated[float | Vector, PointsRule((4,), RELATIVE_ERROR, or_number=True)] = (
-        0.0  # one for all points or (n,)
-    )
-    # relative, of the controller's camera
-    focal_length: Annotated[float, RELATIVE_ERROR, SAMPLED] = 0.0
+    inertia: Annotated[float | Matrix, ArrayRule((6, 6), RELATIVE_ERROR, or_number=True)] = 0.0  # the plant has less
+    coriolis: Annotated[float | Matrix, ArrayRule((6, 6), RELATIVE_ERROR, or_number=True)] = 0.0  # likewise
+    gravity: Annotated[float | Vector, ArrayRule((6,), RELATIVE_ERROR, or_number=True)] = 0.0  # > 0: it is lighter
+    # relative, > 0: assumed too deep; one for all points or (n,)
+    depth: Annotated[float | Vector, PointsRule((4,), RELATIVE_ERROR, or_number=True)] = 0.0
+    focal_length: Annotated[float, RELATIVE_ERROR, SAMPLED] = 0.0  # relative, of the controller's camera
     principal_point: Annotated[Vector, ArrayRule((2,)), SAMPLED] = (0.0, 0.0)  # (2,) [px], what the controller's is off
     latency: Annotated[float, Number(), SAMPLED] = 0.0  # [s], what the one that the controller assumes is off
     mount: Mount = Field(default_factory=Mount)
@@ -435,7 +432,7 @@ class Simulation(Block):
     step: PositiveNumber = from_core("simulation.step")
     # in sampled mode: Runge-Kutta steps in a servo period
     substeps: Annotated[int, Integer(1, 10**6), SAMPLED] = from_core("simulation.substeps")
-    duration: PositiveNumber = from_core("simulation.duration")  # [s]
+    duration: PositiveNumber = from_core("simulation.duration")  # [s], of the run
     # steps per logged sample
     log_every: Annotated[int, Integer(1, 10**9)] = from_core("simulation.log_every")
     start: Start = Field(default_factory=Start)
@@ -464,7 +461,7 @@ class Metrics(Block):
 class Blocks(Block):
     """All keys of a scenario, block by block, before it is known whether they fit one another."""
 
-    name: Annotated[str, Name()]
+    name: Annotated[str, Name()]  # of the scenario; its files are named after it
     description: Annotated[str, LineRule()] = ""  # what it shows, for lists
     seed: Annotated[int, Integer(0, 2**64 - 1), SAMPLED] = 0  # of everything random
     robot: Robot = Field(default_factory=lambda: Robot.model_validate({"preset": DEFAULT_PRESET}))

@@ -1,4 +1,4 @@
-"""Fields of data classes and named tuples: each has its text in the source alone, and `help` shows it."""
+"""Fields of data classes, named tuples and blocks: each has its text in the source alone, and `help` shows it."""
 
 from __future__ import annotations
 
@@ -6,10 +6,13 @@ import dataclasses
 import inspect
 import re
 import textwrap
+from collections.abc import Iterator
 from functools import cached_property
 from typing import Any, TypeVar
 
-__all__ = ["described", "field_names", "fields_of"]
+from pydantic import BaseModel
+
+__all__ = ["described", "field_names", "fields_of", "meanings_of"]
 
 Kind = TypeVar("Kind", bound=type)
 _WIDTH = 100  # of the lines of a field's text in `help`
@@ -32,14 +35,34 @@ def fields_of(kind: type) -> list[tuple[str, str, str]]:
     OSError
         Where the source is not there.
     """
-    lines = inspect.getsource(kind).splitlines()
     names = field_names(kind)
-    found = []
+    return [field for field in _fields_in(inspect.getsource(kind)) if field[0] in names]
+
+
+def meanings_of(block: type[BaseModel]) -> dict[str, str]:
+    """Return what each key of a block of a scenario means, by its name: the text as of `fields_of`.
+
+    Raises
+    ------
+    OSError
+        Where the source is not there.
+    """
+    own = [kind for kind in reversed(block.__mro__) if issubclass(kind, BaseModel) and kind is not BaseModel]
+    found = {name: text for kind in own for name, _, text in _fields_in(inspect.getsource(kind))}
+    return {name: found[name] for name in block.model_fields}
+
+
+def _fields_in(source: str) -> Iterator[tuple[str, str, str]]:
+    """Find name, type and text of all that is declared in the source of a class."""
+    lines = source.splitlines()
     for number, line in enumerate(lines):
-        field = re.match(r"    (\w+): ([^#=]+?)\s*(?:=[^#]*)?(?:#\s*(.*))?$", line)
-        if not field or field[1] not in names:
+        field = re.match(r"    (\w+): (.+?)(?:\s+=(?:\s.*?)?)?(?:\s+#\s*(.*))?$", line)
+        if not field:
             continue
-        comment = [field[3]] if field[3] else []
+        beside = field[3]
+        if not beside and line.endswith("(") and (inner := re.search(r"\s#\s*(.*)$", lines[number + 1])):
+            beside = inner[1]  # of a default in brackets
+        comment = [beside] if beside else []
         above = number - 1
         while above >= 0 and re.match(r"    # ", lines[above]):
             comment.insert(0, lines[above].strip("# "))
@@ -47,8 +70,7 @@ def fields_of(kind: type) -> list[tuple[str, str, str]]:
         text = " ".join(comment)
         if not text and (below := re.match(r'    """(.*?)"""', "\n".join(lines[number + 1 :]), re.DOTALL)):
             text = " ".join(below[1].split())
-        found.append((field[1], field[2].strip(), text))
-    return found
+        yield field[1], field[2].strip(), text
 
 
 def described(kind: Kind) -> Kind:

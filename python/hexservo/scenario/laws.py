@@ -43,7 +43,7 @@ def laws_with(*traits: str) -> tuple[str, ...]:
 class Switching(Block):
     """The switching term of the law, sgn or a smooth stand-in; docs/model.md section 6."""
 
-    kind: Annotated[SwitchingKind, Choice()] = from_core("controller.switching.kind")
+    kind: Annotated[SwitchingKind, Choice()] = from_core("controller.switching.kind")  # sign, or what stands for it
     # [m/s and rad/s], of tanh and saturation
     width: PositiveNumber = from_core("controller.switching.width")
 
@@ -78,7 +78,7 @@ class Fuzzy(Block):
     inputs are a pose error and its rate: a [1/m, 1/rad], b [s/m, s/rad], with different defaults.
     """
 
-    enabled: Annotated[bool, Flag()] = from_core("controller.hybrid.fuzzy.enabled")
+    enabled: Annotated[bool, Flag()] = from_core("controller.hybrid.fuzzy.enabled")  # false: no fuzzy systems
     # Psi of (22): the larger, the slower the weights
     adaptation: Annotated[float | Vector, ArrayRule((6,), POSITIVE, or_number=True)] = from_core(
         "controller.hybrid.fuzzy.adaptation"
@@ -93,7 +93,9 @@ class Fuzzy(Block):
     )
     # rows by the first input, columns by the second, NB to PB; terms stand for -1, -2/3, ..., 1
     table: Annotated[Literal["linear"] | Matrix, TableRule()] = "linear"
-    bell_width: PositiveNumber = from_core("controller.hybrid.fuzzy.bell_width")  # null: exactly 1/6
+    # half width of a bell at half height; null: exactly 1/6
+    bell_width: PositiveNumber = from_core("controller.hybrid.fuzzy.bell_width")
+    # s, of a bell's slope: its exponent is 2 s
     bell_slope: Annotated[float, Number(above=0, at_most=16)] = from_core("controller.hybrid.fuzzy.bell_slope")
     # sigma, how fast the weights are forgotten [1/s]; at most one over the step
     leakage: SixNotNegative = from_core("controller.hybrid.fuzzy.leakage")
@@ -115,7 +117,7 @@ class Auto(Block):
 
     # f [Hz] of the loop without friction and adaptation; null: gains that are not given have their defaults
     bandwidth: Annotated[float | None, OptionalNumber(at_least=1e-6, at_most=1e6)] = None
-    damping: Annotated[float, Number(at_least=0.01, at_most=100)] = 1.0  # zeta of that loop
+    damping: Annotated[float, Number(at_least=0.01, at_most=100)] = 1.0  # zeta of that loop [1]
 
     @model_validator(mode="before")
     @classmethod
@@ -188,9 +190,11 @@ class ResolvedRate(Block):
     auto: Auto = Field(default_factory=Auto)
     # lambda [1/s]; where it adapts, its value at the goal
     gain: Annotated[float, NOT_NEGATIVE] = from_core("controller.resolved_rate.gain")
+    # the gain falls from the goal to far from it, by gain_slope and gain_far
     adaptive: Annotated[bool, Flag()] = from_core("controller.resolved_rate.adaptive")
-    # of the adaptive gain: its value far from the goal [1/s], at most `gain`, and its slope at the goal [1/(s px)]
+    # of the adaptive gain: its value far from the goal [1/s], at most `gain`
     gain_far: Annotated[float, NOT_NEGATIVE] = from_core("controller.resolved_rate.gain_far")
+    # of the adaptive gain: its slope at the goal [1/(s px)]
     gain_slope: Annotated[float, NOT_NEGATIVE] = from_core("controller.resolved_rate.gain_slope")
     # current: measured features and depths; desired: those of the goal; mean: half the sum of the two Jacobians
     jacobian_at: Annotated[JacobianPoint, Choice()] = from_core("controller.resolved_rate.jacobian_at")
@@ -255,7 +259,7 @@ class Tracking(Block):
 class Controller(Block):
     """The control law. Each law has a separate block, and only the selected one has an effect."""
 
-    law: Annotated[str, Choice(ALL_LAWS)] = LAWS[0]
+    law: Annotated[str, Choice(ALL_LAWS)] = LAWS[0]  # that acts, with the gains of its block
     # consistent: the sign of the plant; printed: (8) as it stands
     jacobian: Annotated[Literal["consistent", "printed"], Choice()] = "consistent"
     switching: Switching = Field(default_factory=Switching)

@@ -30,31 +30,29 @@ _ZERO = (0.0, 0.0, 0.0)
 class BaseRotation(Block):
     """Rotation vector of B in W, axis by axis, where neither a recording nor a road has an attitude."""
 
-    kind: Annotated[Literal["none", "sinusoid", "noise"], Choice()] = "none"
+    kind: Annotated[Literal["none", "sinusoid", "noise"], Choice()] = "none"  # what the rotation is
     amplitude: Annotated[Vector, ArrayRule((3,))] = _ZERO  # (3,) [rad], of the sinusoids
-    # [Hz] and [rad], of the sinusoids: one number for all axes or (3,)
+    # [Hz], of the sinusoids: one number for all axes or (3,)
     frequency: Annotated[float | Vector, ArrayRule((3,), NOT_NEGATIVE, or_number=True)] = 1.0
-    phase: Annotated[float | Vector, ArrayRule((3,), Angle(), or_number=True)] = 0.0
+    phase: Annotated[float | Vector, ArrayRule((3,), Angle(), or_number=True)] = 0.0  # [rad], likewise, at t = 0
     # [rad^2/Hz], one-sided spectral density of the noise, one for all axes or (3,)
     level: Annotated[float | Vector, ArrayRule((3,), NOT_NEGATIVE, or_number=True)] = 0.0
-    # [Hz], where the noise begins and ends
-    low_frequency: NumberNotNegative = from_core("base_motion.rotation.low_frequency")
-    high_frequency: PositiveNumber = from_core("base_motion.rotation.high_frequency")
+    low_frequency: NumberNotNegative = from_core("base_motion.rotation.low_frequency")  # [Hz], where the noise begins
+    high_frequency: PositiveNumber = from_core("base_motion.rotation.high_frequency")  # [Hz], where it ends
 
 
 class Road(Block):
     """A vehicle on a rough road: heave, pitch and roll of its body. B's x axis points ahead, y to the right, z down."""
 
     roughness: Annotated[Literal["A", "B", "C", "D", "E", "F", "G", "H"], Choice()] = "A"  # class of ISO 8608
-    speed: PositiveNumber = from_core("base_motion.road.speed")  # [m/s]
+    speed: PositiveNumber = from_core("base_motion.road.speed")  # [m/s], of the vehicle
     wheelbase: PositiveNumber = from_core("base_motion.road.wheelbase")  # [m], between the axles
     track: PositiveNumber = from_core("base_motion.road.track")  # [m], between the wheels of an axle
     # [Hz], natural frequency of the body on its springs; null: rigid
     suspension: Annotated[float | None, OptionalNumber(above=0)] = from_core("base_motion.road.suspension")
     damping: PositiveNumber = from_core("base_motion.road.damping")  # [1], of the same, as a share of the critical one
-    # [m], longest and shortest wavelength of the road
-    longest: PositiveNumber = from_core("base_motion.road.longest")
-    shortest: PositiveNumber = from_core("base_motion.road.shortest")
+    longest: PositiveNumber = from_core("base_motion.road.longest")  # [m], longest wavelength of the road
+    shortest: PositiveNumber = from_core("base_motion.road.shortest")  # [m], shortest one
     position: Annotated[Vector, ArrayRule((3,))] = _ZERO  # (3,) [m], of B's origin from the middle of the wheels, in B
 
 
@@ -66,15 +64,15 @@ class BaseMotion(Block):
     once: a scenario holds the samples, kinematic accelerations along the axes of W, and its own ``file`` is null.
     """
 
+    # of the acceleration of B's origin; a road, and a recording that has them, bring rotations too
     kind: Annotated[Literal["none", "sinusoid", "recorded", "noise", "road"], Choice()] = "none"
     amplitude: Annotated[Vector, ArrayRule((3,))] = _ZERO  # (3,) [m/s^2], of the sinusoid, in W
-    frequency: NumberNotNegative = from_core("base_motion.frequency")  # [Hz]
+    frequency: NumberNotNegative = from_core("base_motion.frequency")  # [Hz], of the sinusoid
     phase: Annotated[float, Angle()] = 0.0  # [rad], of the sinusoid at t = 0
     # [(m/s^2)^2/Hz], one-sided spectral density of the noise, one for all axes or (3,)
     level: Annotated[float | Vector, ArrayRule((3,), NOT_NEGATIVE, or_number=True)] = 0.0
-    # [Hz], where the noise begins and ends
-    low_frequency: NumberNotNegative = from_core("base_motion.low_frequency")
-    high_frequency: PositiveNumber = from_core("base_motion.high_frequency")
+    low_frequency: NumberNotNegative = from_core("base_motion.low_frequency")  # [Hz], where the noise begins
+    high_frequency: PositiveNumber = from_core("base_motion.high_frequency")  # [Hz], where it ends
     rotation: BaseRotation = Field(default_factory=BaseRotation)
     road: Road = Field(default_factory=Road)
     # what samples are: accelerations of B's origin in W, or readings of an accelerometer there, along B's axes and with
@@ -111,10 +109,10 @@ class TargetMotion(Block):
     A recording is a CSV file with the columns t, x, y, z [s, m], displacements from ``target.points``.
     """
 
-    kind: Annotated[Literal["none", "velocity", "sinusoid", "recorded"], Choice()] = "none"
-    velocity: Annotated[Vector, ArrayRule((3,))] = _ZERO  # (3,) [m/s]
+    kind: Annotated[Literal["none", "velocity", "sinusoid", "recorded"], Choice()] = "none"  # what the motion is
+    velocity: Annotated[Vector, ArrayRule((3,))] = _ZERO  # (3,) [m/s], of kind velocity
     amplitude: Annotated[Vector, ArrayRule((3,))] = _ZERO  # (3,) [m], of the sinusoid
-    frequency: NumberNotNegative = 1.0  # [Hz]
+    frequency: NumberNotNegative = 1.0  # [Hz], of the sinusoid
     phase: Annotated[float, Angle()] = 0.0  # [rad], of the sinusoid at t = 0
     file: Annotated[str | None, File()] = None  # CSV to read, relative to the scenario's file
     samples: Annotated[Matrix | None, Samples()] = None  # (n, 3) [m], recorded
