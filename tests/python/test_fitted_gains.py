@@ -457,6 +457,9 @@ def test_auto_that_fits_nothing_has_no_effect(paper: hs.Scenario) -> None:
     given = paper.updated({"controller.law": "kelly", "controller.kelly": {"kp": 2e-6, "kd": 2.0}})
     (sentence,) = keys_without_effect(with_auto(given, "kelly", 5.0))
     assert sentence.startswith("controller.kelly.auto.bandwidth: has no effect here; it acts only where one of kp, kd")
+    (sentence,) = keys_without_effect(paper.updated({"controller.hybrid.auto.damping": 2.0}))
+    assert sentence.endswith("it acts only with controller.hybrid.auto.bandwidth")
+    assert keys_without_effect(with_auto(paper, "kelly", 5.0)) == []
 
 
 def test_a_bandwidth_of_legs_that_follow_twists_acts_on_what_they_follow() -> None:
@@ -472,9 +475,6 @@ def test_a_bandwidth_of_legs_that_follow_twists_acts_on_what_they_follow() -> No
         fitted.updated({f"{block}.ki": 7.0})
     free = fitted.updated({f"{block}.gain": None})
     assert not [note for note in keys_without_effect(free) if note.startswith(f"{block}.auto")]
-    (sentence,) = keys_without_effect(paper.updated({"controller.hybrid.auto.damping": 2.0}))
-    assert sentence.endswith("it acts only with controller.hybrid.auto.bandwidth")
-    assert keys_without_effect(with_auto(paper, "kelly", 5.0)) == []
 
 
 def test_gains_that_are_written_do_not_follow_the_goal(paper: hs.Scenario) -> None:
