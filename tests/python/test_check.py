@@ -223,6 +223,37 @@ def test_noise_that_the_filter_takes_for_a_jump() -> None:
     assert not any(line.startswith(start) for line in unlikely(head.updated(known)))
 
 
+# A tilt of 0.035 rad before a target 3 m away, which a shift of 0.1 m shows nearly as well.
+TILTED = {"target.tag.pose": [0.0, 0.0, -3.0, 0.0, 0.0, 0.0], "target.desired_pose": [0.0, 0.0, 0.0, 0.035, 0.0, 0.0]}
+
+
+@pytest.mark.parametrize("law", ["composite", "computed_torque"])
+def test_a_prior_that_first_moves_the_legs_out_of_reach(law: str) -> None:
+    """Half of the tilt becomes a shift of theta z/2, as in a run; with M of shifts 10 times as large, theta z/11."""
+    calm = {"camera.noise": 0.0, "controller.law": law, f"controller.{law}.auto.bandwidth": 2.0}
+    tilted = hs.load_scenario("pi-h824", {**TILTED, **calm})
+    sentence = only(tilted, f"controller.{law}.prior: the law first goes to a pose")
+    goes, beyond = (float(sentence.split(end)[0].split()[-1]) for end in (" m and", " mm beyond its stroke"))
+    assert goes == pytest.approx(0.035 * scene_of(tilted).depth / 2.0, rel=0.02)
+    found = hs.metrics(hs.simulate(tilted))
+    assert found["peak_displacement"] == pytest.approx(goes, rel=0.1)
+    assert found["peak_leg_excursion"] - tilted.robot.stroke == pytest.approx(1e-3 * beyond, rel=0.1)
+    prior = np.array(getattr(tilted.controller, law).prior)
+    firm = tilted.updated({f"controller.{law}.prior": (prior * np.repeat([10.0, 1.0], 3)).tolist()})
+    assert not any("first goes to" in line for line in unlikely(firm))
+    assert hs.metrics(hs.simulate(firm))["peak_leg_excursion"] < firm.robot.stroke
+
+
+def test_a_damped_inverse_that_first_moves_the_legs_out_of_reach() -> None:
+    """With the numbers of the prior as its damping, and none without it."""
+    prior = hs.load_scenario("pi-h824", TILTED).controller.composite.prior
+    rate = {"controller.law": "resolved_rate", "controller.resolved_rate.auto.bandwidth": 2.0}
+    damped = hs.load_scenario("pi-h824", {**TILTED, **rate, "controller.resolved_rate.damping": prior})
+    assert "a smaller damping" in only(damped, "controller.resolved_rate.damping: the law first goes")
+    undamped = damped.updated({"controller.resolved_rate.damping": 0.0})
+    assert not any("first goes to" in line for line in unlikely(undamped))
+
+
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(
     ("name", "changes", "reason"),
