@@ -32,6 +32,7 @@ TOLERANCE = 0.25
 # Periods of the bandwidth that a run has. The last two have slow motions, or none but friction to damp them.
 PERIODS = {"hybrid": 20, "kelly": 20}
 NO_LIMIT = 1e12  # [N]
+NO_STROKE = 10.0  # [m], that no leg leaves: settling is measured, not reach
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +114,7 @@ def scenario_of(law: str, machines: Machines, mode: str) -> hs.Scenario:
     return hs.Scenario.from_mapping(
         {
             "name": "drawn",
-            "robot": {"preset": "micro", "force_limit": NO_LIMIT},
+            "robot": {"preset": "micro", "force_limit": NO_LIMIT, "stroke": NO_STROKE},
             "target": {
                 "initial_features": machines.initial[0],
                 "desired_features": machines.desired[0],

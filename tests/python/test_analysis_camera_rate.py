@@ -820,6 +820,13 @@ def test_the_reason_is_given_where_the_analysis_does_not_apply(name: str, change
         assert "largest_start" in section.sentences[1]
 
 
+def test_a_centre_of_mass_off_the_origin_is_left_to_runs() -> None:
+    changes = {"controller.law": "computed_torque", "robot.centre_of_mass": [0.01, 0.0, 0.0]}
+    first, second = camera_rate.analyse(hs.load_scenario("paper").updated(changes)).section().sentences
+    assert first.endswith("the moment of its weight is not analysed.")
+    assert "the part largest_start" in second
+
+
 def test_a_camera_that_the_controller_has_wrong_is_open() -> None:
     """Half the focal length doubles the motion that the law asks for: the linear loop of the right one is not this."""
     right = hs.load_scenario("paper").updated(

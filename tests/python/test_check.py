@@ -11,6 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import hexservo as hs
+import rotary_machine
 from hexservo import _core
 from hexservo.findings.analysis.linear_law import NotFiniteError
 from hexservo.findings.analysis.scene import scene_of
@@ -297,6 +298,95 @@ def test_noise_that_the_filter_takes_for_a_jump() -> None:
     assert "set it to 0.755" in only(head.updated(rounded), start)
     known = {"camera.noise": 1.1, start: 1.1}
     assert not any(line.startswith(start) for line in unlikely(head.updated(known)))
+
+
+def swapped(joints: Any, one: int, other: int) -> list[list[float]]:
+    rows = np.array(joints)
+    rows[[one, other]] = rows[[other, one]]
+    return [[float(value) for value in row] for row in rows]
+
+
+def test_legs_that_cross_at_home(paper: hs.Scenario) -> None:
+    """Two legs of a pair with their feet exchanged lie in one plane; legs that share a joint do not cross."""
+    hexapod = _core.Hexapod(_core.robot_preset("micro"))
+    crossed = paper.updated({"robot.base_joints": swapped(hexapod.base_joints, 0, 1)})
+    assert only(crossed, "robot: legs").startswith("robot: legs 1 and 2 cross at home; are the joints")
+    assert any(line.startswith("robot: legs") for line in unlikely(rotary_with_feet_exchanged()))
+    joints = np.array(hexapod.base_joints)
+    joints[[1, 3, 5]] = joints[[0, 2, 4]]
+    shared = paper.updated({"robot.base_joints": joints.tolist()})
+    assert not any(line.startswith("robot: legs") for line in unlikely(shared))
+
+
+def rotary_with_feet_exchanged() -> hs.Scenario:
+    """A machine with cranks whose first two platform joints are those of each other's leg."""
+    robot = rotary_machine.machine().robot
+    assert robot.platform_joints is not None
+    return rotary_machine.machine({"robot.platform_joints": swapped(robot.platform_joints, 0, 1)})
+
+
+def test_a_focal_length_that_is_not_in_pixels() -> None:
+    """1280 x 1024 px, whose diagonal is 1639 px: 120 degrees with 473 px, since tan 60 degrees is 1.73."""
+    machine = hs.load_scenario("pi-h824")
+    start = "camera.focal_pixels: 35 px sees 175 degrees"
+    assert "the focal length divided by the pixel pitch" in only(machine.updated({"camera.focal_pixels": 35.0}), start)
+    for focal, wide in ((472.0, True), (475.0, False)):
+        found = [line for line in unlikely(machine.updated({"camera.focal_pixels": focal})) if "degrees across" in line]
+        assert bool(found) is wide
+
+
+def test_a_start_within_the_settling_band(paper: hs.Scenario) -> None:
+    """Whatever the law does, such a run is settled; where something moves, staying there is a result."""
+    goal = paper.to_mapping()["target"]["desired_features"]
+    near = paper.updated({"target.initial_features": [feature + 0.09 for feature in goal]})
+    assert "(0.09 px), so that a run counts as settled" in only(near, "metrics.band: the start is within 2 px")
+    diagnosis = hs.diagnose(hs.simulate(near.updated({"simulation.duration": 0.5})))
+    assert diagnosis.failed is False
+    assert diagnosis.section().verdict == "warning"
+    assert "0.09 px of 2 px from the goal, and so passes without a motion" in diagnosis.section().sentences[0]
+    for change in (
+        {"metrics.band": 0.08},
+        {"simulation.mode": "sampled", "base_motion.kind": "sinusoid", "base_motion.amplitude": [0.1] * 3},
+    ):
+        assert not any(line.startswith("metrics.band") for line in unlikely(near.updated(change)))
+
+
+def test_a_load_that_the_controller_does_not_know(paper: hs.Scenario) -> None:
+    for mass, known, large in ((0.21, False, True), (0.19, False, False), (0.21, True, False)):
+        load = {"mass": mass * paper.robot.mass, "known": known}
+        found = [line for line in unlikely(paper.updated({"robot.payload": load})) if line.startswith("robot.payload")]
+        assert bool(found) is large
+
+
+# A tilt of 0.035 rad before a target 3 m away, which a shift of 0.1 m shows nearly as well.
+TILTED = {"target.tag.pose": [0.0, 0.0, -3.0, 0.0, 0.0, 0.0], "target.desired_pose": [0.0, 0.0, 0.0, 0.035, 0.0, 0.0]}
+
+
+@pytest.mark.parametrize("law", ["composite", "computed_torque"])
+def test_a_prior_that_first_moves_the_legs_out_of_reach(law: str) -> None:
+    """Half of the tilt becomes a shift of theta z/2, as in a run; with M of shifts 10 times as large, theta z/11."""
+    calm = {"camera.noise": 0.0, "controller.law": law, f"controller.{law}.auto.bandwidth": 2.0}
+    tilted = hs.load_scenario("pi-h824", {**TILTED, **calm})
+    sentence = only(tilted, f"controller.{law}.prior: the law first goes to a pose")
+    goes, beyond = (float(sentence.split(end)[0].split()[-1]) for end in (" m and", " mm beyond its stroke"))
+    assert goes == pytest.approx(0.035 * scene_of(tilted).depth / 2.0, rel=0.02)
+    found = hs.metrics(hs.simulate(tilted))
+    assert found["peak_displacement"] == pytest.approx(goes, rel=0.1)
+    assert found["peak_leg_excursion"] - tilted.robot.stroke == pytest.approx(1e-3 * beyond, rel=0.1)
+    prior = np.array(getattr(tilted.controller, law).prior)
+    firm = tilted.updated({f"controller.{law}.prior": (prior * np.repeat([10.0, 1.0], 3)).tolist()})
+    assert not any("first goes to" in line for line in unlikely(firm))
+    assert hs.metrics(hs.simulate(firm))["peak_leg_excursion"] < firm.robot.stroke
+
+
+def test_a_damped_inverse_that_first_moves_the_legs_out_of_reach() -> None:
+    """With the numbers of the prior as its damping, and none without it."""
+    prior = hs.load_scenario("pi-h824", TILTED).controller.composite.prior
+    rate = {"controller.law": "resolved_rate", "controller.resolved_rate.auto.bandwidth": 2.0}
+    damped = hs.load_scenario("pi-h824", {**TILTED, **rate, "controller.resolved_rate.damping": prior})
+    assert "a smaller damping" in only(damped, "controller.resolved_rate.damping: the law first goes")
+    undamped = damped.updated({"controller.resolved_rate.damping": 0.0})
+    assert not any("first goes to" in line for line in unlikely(undamped))
 
 
 @pytest.mark.filterwarnings("error")

@@ -54,6 +54,14 @@ def test_defaults_make_a_machine_that_settles(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.array(scenario.target.points), np.array(corners))
 
 
+def test_metres_for_millimetres_are_warned_of(tmp_path: Path) -> None:
+    lengths = {"p2": "0.1", "p4": "0.15", "p6": "0 0 -0.16", "p8": "-0.015 0.015"}
+    done = answered(tmp_path / "mine.yaml", answers(**lengths))
+    assert done.exit_code == 0, done.output
+    assert "robot: a platform of 100 um radius" in done.stderr
+    assert "mm in `hexservo new`" in done.stderr
+
+
 def test_a_tag_too_small_for_a_law_is_warned_of(tmp_path: Path) -> None:
     """By `hexservo check`: such a file is legal."""
     file = tmp_path / "mine.yaml"

@@ -25,6 +25,7 @@ from diagnosis_faults import FAULTS, KEPT_APART, shipped
 from diagnosis_faults import variation as draw
 from diagnosis_statistics import count, failing, totals
 from hexservo.findings.analysis.reach import reach_of_start_and_goal
+from hexservo.findings.diagnosis import ranking
 from hexservo.findings.diagnosis.causes import CAUSES
 from hexservo.findings.diagnosis.criterion import DRIFT_TIME, Allowed, Record, judge, make_record
 from hexservo.findings.diagnosis.environment import ORDINARY, alone_pairs, ideal, known, ordinary
@@ -314,6 +315,32 @@ def test_a_payload_that_is_not_known_is_not_ordinary() -> None:
     assert [finding.cause for finding in diagnosis.named] == ["gravity"]
     assert diagnosis.named[0].remedy is not None
     assert diagnosis.named[0].remedy.changes == {"robot.payload.known": True}
+
+
+@pytest.mark.parametrize("own_gains", [True, False])
+def test_a_scenario_that_fails_without_a_cause_too_says_nothing_about_it(
+    monkeypatch: pytest.MonkeyPatch, own_gains: bool
+) -> None:
+    """A payload of 1.5 t on a platform of 1 t: with default gains the machine fails without it too, with its own not.
+
+    With default gains alone nothing is known.
+    """
+    scenario = hs.load_scenario("moog-6dof2000e")
+    load = {"mass": 1.5 * scenario.robot.mass, "known": False}
+    scenario = scenario.updated({"robot.payload": load, "robot.force_limit": 1e9})
+    (gravity,) = (cause for cause in CAUSES if cause.key == "gravity")
+    pairs_tried = alone_pairs(gravity, case_of(scenario), Removal("", {}))
+    tried = pairs_tried if own_gains else pairs_tried[1:]
+    monkeypatch.setattr(ranking, "CAUSES", [dataclasses.replace(gravity, alone=lambda case: tried)])
+    diagnosis = hs.diagnose(hs.simulate(scenario))
+    (found,) = diagnosis.causes
+    assert found.without is not None
+    assert found.without.works
+    assert found.alone is (True if own_gains else None)
+    assert found.named is own_gains
+    words = " ".join(diagnosis.section().sentences)
+    assert "it is not the cause" not in words
+    assert ("could not be tested alone" in words) is not own_gains
 
 
 def test_a_removal_that_cures_by_side_effect_is_not_the_cause() -> None:

@@ -8,6 +8,7 @@ The exported model (`hexservo export --mjcf`) is compared as it is, with the run
 
 from __future__ import annotations
 
+from operator import attrgetter
 from typing import Any
 
 import mujoco
@@ -163,6 +164,18 @@ def test_the_exported_model_moves_as_ours(gravity: dict[str, Any], duration: flo
     sign = np.sign(np.sum(states[:, 3:7] * run.quaternion, axis=1))[:, None]
     np.testing.assert_allclose(sign * states[:, 3:7], run.quaternion, rtol=0, atol=2e-5)
     np.testing.assert_allclose(states[:, 7:], run.leg_lengths, rtol=0, atol=1e-6 / CRANK)
+
+
+def test_a_model_of_a_light_machine_with_short_cranks() -> None:
+    """Cranks of 25 mm below 0.25 kg: MuJoCo refuses less than 1e-15 kg m^2; what counts is in the armature."""
+    scale = 0.025 / CRANK
+    lengths = ("base_joints", "platform_joints", "home_position", "cranks.length", "cranks.rod")
+    robot = exact({}).robot
+    small = {f"robot.{key}": (scale * np.asarray(attrgetter(key)(robot))).tolist() for key in lengths}
+    light = exact({**small, "robot.mass": 0.25, "robot.inertia": [1e-4, 1e-4, 2e-4]})
+    model = mujoco.MjModel.from_xml_string(mjcf(light))
+    cranks = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, f"crank{leg}") for leg in range(1, 7)]
+    assert (model.body_inertia[cranks] <= 1e-4 * model.dof_armature[6:, None]).all()
 
 
 def test_the_keys_of_the_exported_model() -> None:

@@ -185,6 +185,12 @@ REFUSED: list[tuple[str, Any, str]] = [
     ("robot.platform_angles", [0.0] * 5, "expected 6 numbers within +-2 pi (radians), got a list of 5"),
     ("robot.base_angles[0]", [-10, 1, 2, 3, 4, 5], "(radians), got -10 (degrees? multiply by pi/180)"),
     ("robot.base_angles[5]", [0, 1, 2, 3, 4, 250.0], "(radians), got 250.0 (degrees? multiply by pi/180)"),
+    (
+        "robot.joint_limit[1]",
+        [0.5, 30],
+        "expected a number > 0 and <= pi (radians), got 30 (degrees? multiply by pi/180)",
+    ),
+    ("robot.joint_limit[0]", [0, 0.5], "expected a number > 0 and <= pi (radians), got 0"),
     ("robot.home_position", [0, 0], "expected 3 finite numbers, got a list of 2"),
     ("robot.home_position[2]", [0, 0, NAN], "expected a finite number, got nan"),
     ("robot.inertia", 1e-4, "expected 3 numbers (the diagonal) or 3x3 finite numbers (symmetric), got 0.0001"),

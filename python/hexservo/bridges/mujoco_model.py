@@ -21,6 +21,9 @@ TITLE = "<!-- hexservo MJCF, format 1 -->"
 
 _RESOLUTION = (640.0, 480.0)  # [px], of a camera without a border
 _LIGHT = 3e-6  # inertia of a crank, of that of the platform as a mass at its end
+# [kg m^2] about each axis, of a crank as a body: ten times what MuJoCo takes for zero and refuses. A platform of 1 g at
+# the end of a crank of 1 mm has 1e-9.
+_LEAST_INERTIA = 1e-14
 _YIELD = 1e-6  # of a crank's length, by which rods may yield under the weight
 _IMPEDANCE = 0.9999  # largest share of a constraint's acceleration that MuJoCo enforces
 _SOLVER = ' solver="Newton" tolerance="0" iterations="100"'
@@ -173,7 +176,7 @@ class _Cranks:
             f'range="{_text([middle - self.scene.stroke, middle + self.scene.stroke])}"'
             f"{_resistance(self.scene.scenario, self.step, armature=False)}/>"
             f'<inertial pos="0 0 0" mass="{self.inertia / self.length**2!r}" '
-            f'diaginertia="{_text([1e-6 * self.inertia] * 3)}"/>'
+            f'diaginertia="{_text([max(1e-6 * self.inertia, _LEAST_INERTIA)] * 3)}"/>'
             f'<geom type="capsule" fromto="{_text([0, 0, 0, *(foot - centre)])}" size="{size / 2!r}" mass="0" '
             f'contype="0" conaffinity="0"/>{_site(f"base{leg}", foot - centre, size)}</body>'
             for leg, centre, axis, angle, middle, foot in zip(

@@ -15,6 +15,7 @@ from hexservo.findings.analysis.loop_of_scenario import NotApplicableError, quie
 from hexservo.findings.analysis.reach import reach_of_start_and_goal
 from hexservo.findings.analysis.scene import Scene, scene_of
 from hexservo.findings.check_gains import of_gains
+from hexservo.findings.check_machine import of_machine
 from hexservo.findings.check_motion import of_motion
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.block import SAMPLED_MODE
@@ -41,10 +42,10 @@ def unlikely(scenario: Scenario) -> list[str]:
     Compares the weight at home with the force limits, home with the base, the stroke with the leg lengths, start and
     goal with stroke, joint limits and image, the start's twist with the speed limit, the principal point with the
     image, times of the camera and of the metrics with the duration, the motions of base and target with what machines
-    do (`of_motion`), the period of frames with what finds an unknown latency, and in sampled mode the servo period
-    with the loop of the gains, linearised at home with the switching term as in `linear_law`; gains with duration,
-    servo rate, delays, forces and noise (`of_gains`). Gains with which numbers of that loop overflow have a sentence
-    that names it. Does not simulate.
+    do (`of_motion`), the period of frames with what finds an unknown latency, the machine with what is built
+    (`of_machine`), and in sampled mode the servo period with the loop of the gains, linearised at home with the
+    switching term as in `linear_law`; gains with duration, servo rate, delays, forces and noise (`of_gains`). Gains
+    with which numbers of that loop overflow have a sentence that names it. Does not simulate.
     """
     scene = scene_of(scenario)
     fastest, overflow = None, []
@@ -57,6 +58,7 @@ def unlikely(scenario: Scenario) -> list[str]:
         pass
     return [
         *_of_legs(scene),
+        *of_machine(scene),
         *_of_goal(scene),
         *_of_points(scene),
         *_of_image(scenario),
@@ -125,6 +127,12 @@ def _of_goal(scene: Scene) -> Iterator[str]:
         )
     elif reach.goal_within is False and reach.nearest is not None:
         yield f"target.desired_features: the goal is out of reach: {reach.nearest.beyond}"
+    if scene.settled_start is not None:
+        yield (
+            f"metrics.band: the start is within {quantity(scene.band, 'px')} of the goal "
+            f"({number(scene.settled_start)} px), so that a run counts as settled without a motion; a narrower band "
+            "shows whether the law gets there"
+        )
 
 
 def _of_points(scene: Scene) -> Iterator[str]:

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from hexservo import _core
+from hexservo.findings.analysis.reach import nearest_limit
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.leg_feedback import feedback_margin, integral_margin
 from hexservo.scenario.arrays import Array
@@ -57,6 +58,7 @@ def of_gains(scene: Scene, fastest: float | None) -> Iterator[str]:
         yield from _of_times(scenario, f"controller.{law}.bandwidth: {number(bandwidth)} Hz", bandwidth)
     elif fastest is not None:
         yield from _too_slow(scenario, f"controller.{law}: the gains' bandwidth of {{}} Hz", fastest / (2.0 * math.pi))
+    yield from _of_way(scene)
     yield from _of_switching(scene)
     if scenario.controller.traits.output == "pose":
         yield from _of_feedback(scenario, law)
@@ -209,6 +211,31 @@ def _of_image(scene: Scene, key: str) -> Iterator[str]:
             )
 
 
+def _of_way(scene: Scene) -> Iterator[str]:
+    """Find a pose out of reach on the way to a goal within reach: the law takes a part of a turn for a shift."""
+    law = scene.scenario.controller.law
+    traits = _core.LAW_TRAITS[law]
+    if not traits.inverse or not scene.has_points:
+        return
+    machine = machine_of(scene.scenario)
+    first = machine.displacement - left_by_inverse(scene, machine)
+    if not np.isfinite(first).all() or not nearest_limit(scene, scene.home.moved(machine.displacement)).within:
+        return
+    limit = nearest_limit(scene, scene.home.moved(first))
+    if limit.within:
+        return
+    shift, turn = (number(float(np.linalg.norm(part))) for part in np.split(first, 2))
+    remedy = (
+        f"{traits.inverse} that is larger for shifts, or the law pbvs, does not"
+        if traits.prior
+        else f"smaller {traits.inverse}, or the law pbvs, does not"
+    )
+    yield (
+        f"controller.{law}.{traits.inverse}: the law first goes to a pose {shift} m and {turn} rad from home, where "
+        f"{limit.beyond}, although the legs reach the goal; a {remedy}"
+    )
+
+
 def slow_share(scene: Scene, machine: Machine) -> float:
     """Return the share of the largest feature error at the start that motions below half the bandwidth have.
 
@@ -236,12 +263,27 @@ def turning_share(machine: Machine) -> float:
 def share_of_prior(scene: Scene, machine: Machine) -> float:
     """Return the share of the largest feature error at the start with which image and start pose balance.
 
-    Where e = 0: J^T xi-tilde = M x, x from the start, to first order. Zero where no pose shows the goal image.
+    Zero where no pose shows the goal image.
     """
-    weight = np.diag(np.broadcast_to(value_at(scene.scenario, f"controller.{scene.scenario.controller.law}.prior"), 6))
-    left = np.linalg.solve(machine.jacobian.T @ machine.jacobian + weight, weight @ machine.displacement)
+    left = left_by_inverse(scene, machine)
     share = _largest_share(machine.jacobian @ left, scene.desired - scene.view(scene.start).features)
     return share if math.isfinite(share) else 0.0
+
+
+def left_by_inverse(scene: Scene, machine: Machine) -> Array:
+    """Return (J^T J + M)^-1 M x, x from home to the goal, (6,) [m; rad]: what the estimated pose error leaves out.
+
+    To first order. With M a prior, J^T xi-tilde = M (x - left) there, and e = 0: image and start pose balance. With M a
+    damping of the inverse, the law is slow from there on. NaN where no pose shows the goal image, or no inverse exists.
+    """
+    law = scene.scenario.controller.law
+    gain = value_at(scene.scenario, f"controller.{law}.{_core.LAW_TRAITS[law].inverse}")
+    weight = np.diag(np.broadcast_to(gain, 6))
+    try:
+        left = np.linalg.solve(machine.jacobian.T @ machine.jacobian + weight, weight @ machine.displacement)
+    except np.linalg.LinAlgError:
+        return np.full(6, np.nan)
+    return np.asarray(left)
 
 
 def _largest_share(part: Array, whole: Array) -> float:

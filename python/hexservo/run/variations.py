@@ -63,11 +63,15 @@ def checked_variations(scenario: Scenario, variations: Mapping[str, ArrayLike]) 
     gains = [values for key, values in arrays.items() if key.rpartition(".")[2] in scenario.idle_gains]
     others = {int(np.argmax(np.any(values != values[:1], axis=tuple(range(1, values.ndim))))) for values in gains}
     for index in sorted({0} | others):
-        try:
-            scenario.updated(changes_of_run(arrays, law, index))
-        except ScenarioError as error:
-            raise ScenarioError([f"scenario {index}: {problem}" for problem in error.problems]) from None
+        _require_valid(scenario, changes_of_run(arrays, law, index), index)
     return arrays
+
+
+def _require_valid(scenario: Scenario, changes: Mapping[str, Any], index: int) -> None:
+    try:
+        scenario.updated(changes)
+    except ScenarioError as error:
+        raise ScenarioError([f"scenario {index}: {problem}" for problem in error.problems]) from None
 
 
 def fitted_variations(scenario: Scenario, arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import BaseModel, ConfigDict
 
-from hexservo.scenario.rules import Number
+from hexservo.scenario.rules import HalfTurn, Number
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -17,7 +16,7 @@ POSITIVE = Number(above=0)
 NOT_NEGATIVE = Number(at_least=0)
 RELATIVE_ERROR = Number(above=-1, below=1)
 PROBABILITY = Number(at_least=0, at_most=1)
-HALF_TURN = Number(above=0, at_most=math.pi)  # [rad], an angle between two directions
+HALF_TURN = HalfTurn()  # [rad], an angle between two directions
 
 PositiveNumber = Annotated[float, POSITIVE]
 NumberNotNegative = Annotated[float, NOT_NEGATIVE]

@@ -111,6 +111,24 @@ class Angle(Number):
 
 
 @dataclass(frozen=True)
+class HalfTurn(Angle):
+    """An angle between two directions, above 0 and at most pi."""
+
+    above: float | None = 0.0
+    at_least: float | None = None
+    at_most: float | None = math.pi
+
+    @property
+    def bounds(self) -> str:
+        return "> 0 and <= pi (radians)"
+
+    def refuse(self, value: Any, place: tuple[int, ...] = (), hint: str = "") -> NoReturn:
+        if is_number(value) and value <= 0:  # in no unit
+            Number.refuse(self, value, place, hint)
+        super().refuse(value, place, hint)
+
+
+@dataclass(frozen=True)
 class ArrayRule(Rule):
     """Numbers of a fixed shape; as alternatives one number that stands for all of them, or null.
 

@@ -88,8 +88,8 @@ class Scenario(Blocks):
         if self.simulation.mode == SAMPLED_MODE:
             for key in self.idle_gains.intersection(chosen_keys(self)):
                 raise ValueError(
-                    f"controller.{self.controller.law}.{key}: has no effect where actuators.kind is not force, since the "
-                    "legs follow the commanded twist by themselves; drop it"
+                    f"controller.{self.controller.law}.{key}: has no effect where actuators.kind is not force, since "
+                    "the legs follow the commanded twist by themselves; drop it"
                 )
             return
         given = [key for key, default in sampled_keys().items() if value_at(self, key) != default]

@@ -12,6 +12,7 @@ from hexservo.findings.analysis.camera_rate import OF_GROWTH, CameraRate
 from hexservo.findings.analysis.linear_loop import Clock
 from hexservo.findings.analysis.loop_of_scenario import OFFSET as START
 from hexservo.findings.analysis.loop_of_scenario import LoopAtRest, proportional_gains
+from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.analysis.words import number
 from hexservo.findings.evidence import Cell, Column, HeatMap, Line, Section, Table, Verdict, picked
 from hexservo.run.leg_limits import LimitUse, limits_of_motion
@@ -32,7 +33,7 @@ def section(result: CameraRate) -> Section:
     if result.open is not None or result.at_rest is None or result.clock is None or result.free is None:
         reason = result.open or "nothing was found"
         sentences = [f"The linear loop does not apply: {reason}."]
-        if not result.scenario.controller.traits.viscous:
+        if not result.scenario.controller.traits.viscous or scene_of(result.scenario).unusual_body:
             sentences.append(
                 "The starting errors that settle with this camera are found by runs instead (empirical): see "
                 "the part largest_start."

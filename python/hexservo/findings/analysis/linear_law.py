@@ -208,7 +208,7 @@ def rest_of(scenario: Scenario, scene: Scene) -> RestPose:
     if goals is None:
         raise NoRestError("a camera as_printed has no points, and so no pose at which the goal is seen")
     if scene.unusual_body:
-        raise NoRestError(scene.unusual_body)
+        raise NoRestError(scene.unusual_body.removesuffix("."))  # a clause, as the others
     pose = goals.best.view.pose
     if scenario.controller.traits.memory and scenario.controller.gains.fuzzy.enabled:
         # Far from rest what fuzzy systems learn bends with their memberships; the law without them leads near it.

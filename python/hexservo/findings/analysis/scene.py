@@ -85,6 +85,17 @@ class Scene:
         return ""
 
     @cached_property
+    def settled_start(self) -> float | None:
+        """Largest |xi(0) - xi_d| [px] where it is in the settling band before anything moves; None where it is not."""
+        scenario = self.scenario
+        if moves(scenario.base_motion) or scenario.target.motion.kind != "none":
+            return None
+        if np.any(self.settings["simulation.start.twist"]):
+            return None
+        error = float(np.abs(self.view(self.start).features - self.desired).max())
+        return error if error <= self.band else None
+
+    @cached_property
     def moving_target(self) -> str:
         """Why what takes the target for fixed in B does not hold; empty where it does."""
         base, target = self.scenario.base_motion, self.scenario.target

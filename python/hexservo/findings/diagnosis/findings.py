@@ -35,7 +35,9 @@ class Finding:
     named: bool  # whether it is the cause, by the rules of docs/diagnosis/ranking.md
     score: float  # 0 to 1: share of the failure that its removal cures, reduced if it makes no run fail alone
     cure: float | None  # share of the severity that its removal cures; None: no removal could be run
-    alone: bool | None  # whether it makes a scenario without other faults fail; None: not tried
+    # whether it makes a scenario without other faults fail; None: not tried, since the run fails without it too, or not
+    # known, since that scenario fails without it too
+    alone: bool | None
     look: float | None  # signature: how well the recorded signals fit it, 0 to 1; None: it has no signature
     evidence: tuple[str, ...]  # sentences with numbers
     without: Remedy | None  # the run without this cause, even if no machine can be without it

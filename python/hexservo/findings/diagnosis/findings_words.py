@@ -18,10 +18,12 @@ _FLOOR = 1e-3  # [px], of the curves
 _WEAK = 0.3  # score up to which recorded signals speak for no cause
 _AT_REST = 1e-3  # of the stroke, that legs move which do not act
 _HELPERS = 3  # most removals that are named which help and are not the cause
-_NOT_NAMED = {  # fails alone -> why a removal that helps is not the cause
+_NOT_NAMED = {  # fails alone -> why a removal that helps is not named as the cause
     False: "that helps, but alone it makes no scenario without other faults fail, so it is not the cause.",
     True: "alone it makes a scenario without other faults fail too, but it is not named: its settings are ordinary, "
     "small random changes cure the run as well, or the run has not come to rest.",
+    None: "that helps, but it could not be tested alone: without any fault, and for a setting of the law with default "
+    "gains, the machine fails as well.",
 }
 
 
@@ -164,6 +166,7 @@ def _table(found: Diagnosis) -> Table:
         after: tuple[str, str, float | None, float | None] = ("", "", None, None)
         alone = {True: "yes", False: "no", None: ""}[finding.alone]
         if run is not None:
+            alone = "not known" if run.works and finding.alone is None else alone
             after = (run.words, spelt(run.outcome), run.error, 1e3 * run.leg_travel)
         rows.append((finding.title, finding.score, *after, alone))
     note = f"Not present in this scenario, or not tried: {', '.join(found.absent)}." if found.absent else ""

@@ -47,6 +47,7 @@ class Alone:
     without: Changes
     alone: Changes
     stroke_counts: bool = True  # of the first one
+    first_decides: bool = False  # whether a first one that fails speaks against the cause; else it proves nothing
 
 
 def always(case: Case) -> bool:

@@ -46,7 +46,9 @@ class Trial:
     record: Record
     judgement: Judgement
     cure: float  # share of the severity that the removal cures, 0 to 1
-    alone: bool | None  # whether it makes an otherwise ideal scenario fail; None: not tried, its removal does not cure
+    # whether it makes an otherwise ideal scenario fail; None: not tried, since its removal does not cure, or not known,
+    # since that scenario fails without it too
+    alone: bool | None
     score: float  # 0 to 1
     named: bool  # as the cause
 
@@ -121,7 +123,11 @@ def study(cases: Sequence[Case], before: Sequence[Judgement], threads: int = 1) 
 
 
 def _each_alone(studies: Sequence[Study], threads: int) -> list[Study]:
-    """Check for each cause whose removal cures whether it alone makes a run fail."""
+    """Check for each cause whose removal cures whether it alone makes a run fail.
+
+    A pair whose first scenario fails, or one of which is refused, proves nothing about the cause, unless the pair is
+    there to show that it fails without it (`Alone.first_decides`). A cause no worse than ordinary is no fault.
+    """
     places = []
     runs: dict[tuple[int, str, bool], Run] = {}
     for number, one in enumerate(studies):
@@ -132,7 +138,7 @@ def _each_alone(studies: Sequence[Study], threads: int) -> list[Study]:
             for pair in alone_pairs(trial.cause, one.case, trial.removal):
                 without = Removal("", pair.without, pair.stroke_counts)
                 alone = Removal("", pair.alone)
-                places.append((number, key, without, alone))
+                places.append((number, key, without, alone, pair.first_decides))
                 for removal in (without, alone):
                     runs[number, known(removal.changes), removal.stroke_counts] = Run(scenario, removal.changes)
     records = dict(zip(runs, run_all(list(runs.values()), threads), strict=True))
@@ -142,9 +148,12 @@ def _each_alone(studies: Sequence[Study], threads: int) -> list[Study]:
         return None if record is None else judged(studies[number].case.scenario, record, removal).failed
 
     verdicts: dict[tuple[int, str], bool] = {}
-    for number, key, without, alone in places:
-        holds = fails(number, without) is False and fails(number, alone) is True
-        verdicts[number, key] = verdicts.get((number, key), True) and holds
+    for number, key, without, alone, first_decides in places:
+        same = without.stroke_counts and known(without.changes) == known(alone.changes)
+        passes = fails(number, without) is False
+        outcome = fails(number, alone) if passes else False if same or first_decides else None
+        if outcome is not None:
+            verdicts[number, key] = verdicts.get((number, key), True) and outcome
     return [
         replace(
             one,

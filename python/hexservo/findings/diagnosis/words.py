@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.diagnosis.criterion import DRIFT_TIME, Judgement, Record
 from hexservo.findings.diagnosis.findings import Finding, Remedy
 from hexservo.run.leg_limits import LimitUse, limits_of_motion
@@ -94,6 +95,12 @@ def warnings_of(result: Result, judgement: Judgement) -> tuple[str, ...]:
     if len(result.time) < FEW:
         found.append(f"The run logged {len(result.time)} samples: too few to see a drift or an oscillation.")
     if not judgement.failed:
+        error, band = scene_of(result.scenario).settled_start, result.scenario.metrics.band
+        if error is not None:
+            found.append(
+                f"It starts within the settling band, {number(error)} px of {number(band)} px from the goal, and so "
+                "passes without a motion: a narrower metrics.band shows whether the law gets there."
+            )
         for what, ratio in (
             ("the error in the dwell time", judgement.error),
             ("the travel of the legs", judgement.stroke),

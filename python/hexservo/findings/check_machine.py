@@ -1,0 +1,99 @@
+"""Numbers of a machine that are legal and probably another machine's: crossed legs, a camera's view, a large load."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import combinations
+
+import numpy as np
+
+from hexservo.findings.analysis.scene import Scene
+from hexservo.findings.diagnosis.environment import unknown_payload
+from hexservo.scenario.arrays import Array
+from hexservo.scenario.wording import number, quantity
+
+_CROSSED = 1e-3  # of the shortest leg, a distance of two legs that no two legs with a width have
+_INSIDE = 0.01  # of its length from its ends, a place inside a leg: at the ends legs may share a joint
+_WIDEST = 120.0  # [deg], view across the diagonal of a lens that is no fisheye
+_LOAD = 0.2  # of the weight that the controller assumes, a load that it does not know
+_MICROSCOPIC = 2e-3  # [m]: no platform with its home is that small
+
+
+def of_machine(scene: Scene) -> Iterator[str]:
+    """Yield a sentence for each number of the machine that is probably not meant.
+
+    Parameters
+    ----------
+    scene
+        Of the scenario.
+    """
+    yield from _of_size(scene)
+    yield from _of_crossed_legs(scene)
+    yield from _of_view(scene)
+    yield from _of_load(scene)
+
+
+def _of_size(scene: Scene) -> Iterator[str]:
+    """Find metres that were given for millimetres."""
+    radius, height = scene.platform_radius, float(np.linalg.norm(scene.home.position))
+    if max(radius, height) < _MICROSCOPIC:
+        yield (
+            f"robot: a platform of {quantity(radius, 'm')} radius, {quantity(height, 'm')} from the base at home, is "
+            "very small; are its numbers in the unit that is asked for (metres in a file, mm in `hexservo new`)?"
+        )
+
+
+def _of_crossed_legs(scene: Scene) -> Iterator[str]:
+    home = scene.home
+    feet = np.asarray(scene.hexapod.leg_feet(home.position, home.quaternion))
+    ways = home.carried(np.asarray(scene.hexapod.platform_joints)) - feet  # of rotary legs the rods
+    shortest = float(np.linalg.norm(ways, axis=1).min())
+    crossed = [
+        f"{one + 1} and {other + 1}"
+        for one, other in combinations(range(6), 2)
+        if _crossing(feet[one], ways[one], feet[other], ways[other]) < _CROSSED * shortest
+    ]
+    if crossed:
+        yield (
+            f"robot: legs {', '.join(crossed)} cross at home; are the joints of base and platform with the same number "
+            "those of the same leg?"
+        )
+
+
+def _crossing(foot: Array, way: Array, other_foot: Array, other_way: Array) -> float:
+    """Return the distance of two segments [m] where they are nearest inside of both; infinite where they are not."""
+    normal = np.cross(way, other_way)
+    square = float(normal @ normal)
+    if square <= 1e-24 * float(way @ way) * float(other_way @ other_way):  # parallel
+        return np.inf
+    between = other_foot - foot
+    places = np.array([np.cross(between, other_way) @ normal, np.cross(between, way) @ normal]) / square
+    inside = (places > _INSIDE).all() and (places < 1.0 - _INSIDE).all()
+    return float(abs(between @ normal) / np.sqrt(square)) if inside else np.inf
+
+
+def _of_view(scene: Scene) -> Iterator[str]:
+    """Find a focal length in other units than pixels."""
+    camera = scene.scenario.camera
+    if camera.image_size is None or camera.distortion.kannala_brandt is not None:
+        return
+    given = camera.focal_pixels
+    focal = np.broadcast_to(scene.camera.focal_pixels if given is None else given, 2)
+    view = float(np.rad2deg(2.0 * np.arctan(np.linalg.norm(np.asarray(camera.image_size) / (2.0 * focal)))))
+    if view > _WIDEST:
+        key = "camera.focal_length" if given is None else "camera.focal_pixels"
+        yield (
+            f"{key}: {number(focal[0])} px sees {number(view)} degrees across the image's diagonal; fx of a camera "
+            "matrix is in pixels, the focal length divided by the pixel pitch"
+        )
+
+
+def _of_load(scene: Scene) -> Iterator[str]:
+    if not unknown_payload(scene.scenario):
+        return
+    load, known = scene.scenario.robot.payload.mass, scene.body.mass
+    if load > _LOAD * known:
+        yield (
+            f"robot.payload.known: false with a load of {quantity(load, 'kg')}, {load / known:.0%} of the "
+            f"{quantity(known, 'kg')} that the controller assumes; its weight is an error that the law has to hold"
+        )
