@@ -213,6 +213,13 @@ def metrics_page() -> str:
     return head + "\n".join(rows) + "\n"
 
 
+def rounded(default: object) -> str:
+    """Return a default as JSON with six digits, its first entries where it is long."""
+    short = json.loads(json.dumps(default), parse_float=lambda text: float(f"{float(text):.6g}"))
+    text = json.dumps(short)
+    return text if len(text) <= 32 else text[:28].rpartition(",")[0] + ", ..."
+
+
 def keys_page() -> str:
     """Return the table of all keys, from ``hexservo schema --json``."""
     schema = subprocess.run(
@@ -224,16 +231,13 @@ def keys_page() -> str:
         block = ".".join(parts[: 2 if parts[0] == "controller" else 1]) if len(parts) > 1 else "Of the scenario itself"
         shape = "x".join(str(length) for length in field.get("shape", []))
         kind = f"{field['type']} {shape}".strip() + (" or null" if field["optional"] else "")
-        default = json.dumps(field.get("default"))
-        default = default if len(default) <= 40 else default[:36] + " ..."
+        unit = field["unit"] or ", ".join(f"`{choice}`" for choice in field.get("choices", []))
         cells = (
-            f"`{field['key']}`",
-            kind,
-            field["unit"] or ", ".join(f"`{choice}`" for choice in field.get("choices", [])),
-            bounds_of(field),
-            f"`{default}`",
+            f"`{field['key']}`<br>{field['meaning']}",
+            f"{kind}<br>{unit}",
+            bounds_of(field).replace(" and ", "<br>"),
+            f"`{rounded(field.get('default'))}`",
             field["mode"],
-            field["meaning"],
         )
         row = f"| {' | '.join(cell.replace('|', BAR) for cell in cells)} |"
         blocks.setdefault(block, []).append(row)
@@ -247,8 +251,8 @@ def keys_page() -> str:
     for block, rows in blocks.items():
         text += [
             f"## {block}\n",
-            "| key | type | unit or choices | bounds | default | mode | |",
-            "| --- | --- | --- | --- | --- | --- | --- |",
+            "| key | type, unit or choices | bounds | default | mode |",
+            "| --- | --- | --- | --- | --- |",
         ]
         text += [*rows, ""]
     return "\n".join(text)
