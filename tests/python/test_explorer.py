@@ -198,6 +198,76 @@ def test_the_yaml_of_every_preset_is_the_same_scenario(visit: Visit) -> None:
         assert acting(core_values(again)) == acting(full), name
 
 
+@in_browser
+@pytest.mark.parametrize(
+    "address",
+    ["#paper", "#composite-30hz", "#pi-h824-positions&controller.law=resolved_rate", "#reachy-mini-head"],
+)
+def test_the_yaml_of_a_slider_anywhere_is_a_scenario(visit: Visit, address: str) -> None:
+    """At both ends and in the middle of each, Python takes what the page runs."""
+    visit.go(address)
+    moved = visit.page.evaluate(
+        """address => {
+          const names = [...document.querySelectorAll('#controls input[type=range]')].map(input => input.dataset.id);
+          return names.flatMap(name => [0, 500, 1000].map(place => {
+            explorer.go(address);
+            const input = document.querySelector(`[data-id="${name}"]`);
+            input.value = place;
+            input.dispatchEvent(new Event('change', { bubbles: true }));
+            return [name, explorer.yaml(), structuredClone(explorer.state.changes)];
+          }));
+        }""",
+        address,
+    )
+    assert len(moved) >= 30
+    for name, text, changes in moved:
+        words = refusal_of(text)
+        if words:
+            parts = [f"{key}={','.join(map(str, np.atleast_1d(value)))}" for key, value in changes.items()]
+            refused = visit.go("&".join([address.partition("&")[0], *parts]))["refusal"]
+            assert refused is not None, (name, parts, words)
+
+
+def refusal_of(text: str) -> str:
+    """What Python says of a scenario's YAML; nothing where it takes it."""
+    try:
+        hs.Scenario.from_yaml(text)
+    except hs.ScenarioError as error:
+        return str(error)
+    return ""
+
+
+@in_browser
+def test_the_yaml_has_what_acts_as_python_writes_it(visit: Visit) -> None:
+    """Numbers for null, exact sensors, and an integral gain that legs which follow twists do not have."""
+
+    def read(address: str) -> hs.Scenario:
+        assert visit.go(address)["refusal"] is None, address
+        return hs.Scenario.from_yaml(visit.page.evaluate("explorer.yaml()"))
+
+    scenario = read("#composite-30hz&camera.period=0&sensors.period=0")
+    assert scenario.camera.period == scenario.simulation.step, "which is what null stands for"
+    assert visit.page.evaluate("explorer.state.changes") == {"camera.period": None}
+    sensors = read("#composite-30hz&sensors.pose=encoders&sensors.rate=true_rates").sensors
+    assert (sensors.pose, sensors.rate) == ("encoders", True)
+    gains = read("#pi-h824-positions&controller.law=resolved_rate&controller.resolved_rate.ki=9").controller.gains
+    assert gains.ki == type(gains)().ki
+    assert visit.page.locator('[data-id^="controller.resolved_rate.ki"]').count() == 0
+    visit.go("#paper&controller.law=resolved_rate")
+    assert visit.page.locator('[data-id^="controller.resolved_rate.ki"]').count() == 2
+
+
+@in_browser
+def test_what_the_page_chooses_itself_is_no_parameter(visit: Visit) -> None:
+    visit.go("#paper&simulation.log_every=7")
+    assert visit.page.evaluate("explorer.state.changes") == {}
+    assert "simulation.log_every" in visit.page.locator("#message").inner_text()
+    visit.page.click("#all-keys > summary")
+    visit.page.wait_for_selector("[id='key-simulation.duration']")
+    assert visit.page.locator("[id='key-simulation.log_every']").count() == 0
+    visit.go("#paper")
+
+
 def acting(values: dict[str, Any]) -> dict[str, Any]:
     """Leave out what does not act: keys of the other mode, an image beside points, circles beside joints."""
     sampled = values["simulation.mode"] == "sampled"
@@ -966,3 +1036,5 @@ def test_without_the_page_the_command_explains_how_to_get_it(tmp_path: Path) -> 
     result = CliRunner().invoke(app, ["explore", "--out", str(tmp_path / "page.html"), "--no-open"])
     assert result.exit_code == 2
     assert not list(tmp_path.iterdir())
+    again = hs.Scenario.from_yaml(visit.page.evaluate("explorer.yaml()"))
+    assert (again.name, again.uncertainty) == ("task-tilt-file", scenario.uncertainty)
