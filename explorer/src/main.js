@@ -332,5 +332,7 @@ try {
   run();
   compare();
 } catch (error) {
+  $("verdict").className = "verdict bad";
+  write($("verdict"), "Does not run in this browser");
   say(`The explorer cannot run here: ${error.message}.`);
 }

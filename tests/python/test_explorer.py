@@ -818,6 +818,55 @@ def test_a_map_of_what_the_core_refuses_gives_its_words(browser: Browser, file: 
     visit.context.close()
 
 
+# --- failures
+
+
+@in_browser
+def test_a_text_that_no_key_has_is_refused(visit: Visit) -> None:
+    """It would be written over what lies behind the place for it."""
+    key = "controller.switching.kind"
+    refusal = visit.go(f"#paper&{key}={'a' * 160_000}")["refusal"]
+    assert refusal == f"{key}: expected text of at most 1024 letters, got 160000: shorten it"
+    assert visit.go("#paper-gravity")["refusal"] is None
+
+
+@in_browser
+def test_after_a_failure_of_the_core_the_page_goes_on(visit: Visit) -> None:
+    """With a core whose memory was written over every later call would fail."""
+    before = visit.end()
+    for worker in visit.page.workers:
+        worker.evaluate(
+            """() => {
+              const set = Uint8Array.prototype.set;
+              Uint8Array.prototype.set = function (...all) {
+                Uint8Array.prototype.set = set;
+                new Uint8Array(this.buffer).fill(255);
+                return this.set(...all);
+              };
+            }"""
+        )
+    assert visit.go("#paper&uncertainty.gravity=0.01")["refusal"] is not None
+    assert visit.page.locator("#message").inner_text().startswith("The core failed: ")
+    again = visit.go("#paper")
+    assert again["refusal"] is None
+    assert again["metrics"] == pytest.approx(before["metrics"], rel=0, abs=0, nan_ok=True)
+
+
+@in_browser
+def test_without_webassembly_the_page_and_its_map_say_so(browser: Browser, file: Path) -> None:
+    page = browser.new_page()
+    page.add_init_script("delete globalThis.WebAssembly")
+    page.goto(file.as_uri())
+    page.wait_for_selector("#verdict.bad")
+    assert page.locator("#verdict").inner_text() == "Does not run in this browser"
+    assert page.locator("#message").inner_text().startswith("The explorer cannot run here: ")
+    page.click("#map-section summary")
+    page.click("#map button")
+    page.wait_for_function("document.querySelector('#map [data-words]').textContent.startsWith('Maps cannot run here')")
+    assert page.locator("#map button").inner_text() == "Compute the map"
+    page.close()
+
+
 # --- people and devices
 
 
