@@ -818,6 +818,95 @@ def test_a_map_of_what_the_core_refuses_gives_its_words(browser: Browser, file: 
     visit.context.close()
 
 
+MAP_OF = "&simulation.duration=0.2&metrics.rms_start=0.1&metrics.dwell=0.01"
+
+
+def begin_map(visit: Visit, address: str, x: str, y: str, metric: str) -> None:
+    """Open the map of a scenario, begin it, and wait for some of its runs."""
+    page = visit.page
+    visit.go(address)
+    if not page.locator("#map").is_visible():
+        page.click("#map-section summary")
+    for name, value in {"x": x, "y": y, "metric": metric}.items():
+        page.select_option(f"#map [name={name}]", value)
+    page.click("#map button")
+    page.wait_for_selector("#map .legend > *")
+
+
+def legend(page: Page) -> list[str]:
+    """What the legend of the map names; the numbers first."""
+    found: list[str] = page.locator("#map .legend > *").all_inner_texts()
+    return found
+
+
+@in_browser
+def test_a_map_is_of_one_scenario(visit: Visit) -> None:
+    """Its run ends with that, it gives nothing to another one, and comes back with it."""
+    page = visit.page
+    address = f"#task-tilt&controller.law=pbvs{MAP_OF}"
+    stale = "document.getElementById('map').classList.contains('stale')"
+    begin_map(visit, address, "controller.pbvs.kp/linear", "uncertainty.depth", "final_error")
+    canvas = page.locator("#map canvas")
+    box = canvas.bounding_box()
+    assert box is not None
+    place = {"x": box["width"] / 2, "y": box["height"] / 3}
+    depth = page.evaluate("explorer.state.changes")
+    for other in ("#paper", f"#task-tilt&controller.law=kelly{MAP_OF}", f"{address}&uncertainty.gravity=0.02"):
+        visit.go(other)
+        assert page.locator("#map button").inner_text() == "Compute the map"
+        assert page.evaluate(stale), other
+        assert "runs of another scenario" in page.locator("#map [data-words]").inner_text()
+        before = page.evaluate("explorer.state")
+        canvas.click(position=place)  # type: ignore[arg-type]
+        assert page.evaluate("explorer.state") == before
+        visit.go(f"{address}&uncertainty.depth=0.1,0.1,0.1,0.1")
+        assert not page.evaluate(stale)
+    page.evaluate("explorer.shown = null")
+    canvas.click(position=place)  # type: ignore[arg-type]
+    page.wait_for_function("explorer.shown !== null")
+    assert set(page.evaluate("explorer.state.changes")) - set(depth) == {"controller.pbvs.kp", "uncertainty.depth"}
+    assert not page.evaluate(stale)
+
+
+@in_browser
+def test_the_legend_of_a_map_names_its_colours(visit: Visit) -> None:
+    """Angles for cranks, and a run that the sentence warns of is not called settled alone."""
+    page = visit.page
+    begin_map(visit, f"#reachy-mini{MAP_OF}", "uncertainty.depth", "camera.noise", "peak_leg_excursion")
+    assert re.fullmatch(r"[\d.]+° ?[\d.]+°(, logarithmic)?", legend(page)[0].replace("\n", "")), legend(page)
+    page.select_option("#map [name=metric]", "settling_time")
+    assert legend(page) == ["not settled"]
+    for change, ending in ("", "settled"), ("&robot.force_limit=0.05", "settled, beyond a limit"):
+        address = f"#paper&simulation.duration=1&metrics.rms_start=0.5{change}"
+        begin_map(visit, address, "uncertainty.coriolis", "uncertainty.inertia", "outcome")
+        assert ending in legend(page), change
+        page.select_option("#map [name=metric]", "settling_time")
+        assert ending not in legend(page)
+        assert re.match(r"[\d.]+ s", legend(page)[0])
+        page.click("#map button")
+
+
+@in_browser
+def test_a_second_tap_takes_what_the_first_one_tells(browser: Browser, file: Path) -> None:
+    visit = Visit(browser, file, viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True)
+    page = visit.page
+    begin_map(visit, f"#task-tilt&controller.law=pbvs{MAP_OF}", "uncertainty.inertia", "uncertainty.depth", "outcome")
+    page.wait_for_function("/^[0-9]{3}/.test(document.querySelector('#map [data-words]').textContent)")
+    page.click("#map button")
+    before = page.evaluate("Object.keys(explorer.state.changes)")
+    canvas = page.locator("#map canvas")
+    canvas.scroll_into_view_if_needed()
+    box = canvas.bounding_box()
+    assert box is not None
+    canvas.tap(position={"x": 66, "y": box["height"] - 38})
+    assert page.locator("#map [data-words]").inner_text().endswith("; tap again to take its values")
+    assert page.evaluate("Object.keys(explorer.state.changes)") == before
+    canvas.tap(position={"x": 70, "y": box["height"] - 42})
+    page.wait_for_function("explorer.state.changes['uncertainty.depth'] !== undefined")
+    assert visit.problems == []
+    visit.context.close()
+
+
 # --- failures
 
 
@@ -1074,6 +1163,8 @@ def test_a_scenario_of_a_file_is_one_more_preset(browser: Browser, tmp_path: Pat
     (tmp_path / "page.html").write_text(explorer_page(scenario), encoding="utf-8")
     visit = Visit(browser, tmp_path / "page.html")
     assert visit.page.evaluate("explorer.full()") == core_values(scenario)
+    again = hs.Scenario.from_yaml(visit.page.evaluate("explorer.yaml()"))
+    assert (again.name, again.uncertainty) == ("task-tilt-file", scenario.uncertainty)
     assert visit.problems == []
     visit.context.close()
 
@@ -1085,5 +1176,3 @@ def test_without_the_page_the_command_explains_how_to_get_it(tmp_path: Path) -> 
     result = CliRunner().invoke(app, ["explore", "--out", str(tmp_path / "page.html"), "--no-open"])
     assert result.exit_code == 2
     assert not list(tmp_path.iterdir())
-    again = hs.Scenario.from_yaml(visit.page.evaluate("explorer.yaml()"))
-    assert (again.name, again.uncertainty) == ("task-tilt-file", scenario.uncertainty)
