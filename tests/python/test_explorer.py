@@ -229,7 +229,7 @@ def test_the_yaml_of_a_slider_anywhere_is_a_scenario(visit: Visit, address: str)
 
 
 def refusal_of(text: str) -> str:
-    """What Python says of a scenario's YAML; nothing where it takes it."""
+    """Return why Python refuses a scenario's YAML; nothing where it takes it."""
     try:
         hs.Scenario.from_yaml(text)
     except hs.ScenarioError as error:
