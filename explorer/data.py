@@ -7,6 +7,7 @@ the values by key that differ from the defaults, for each law.
 from __future__ import annotations
 
 import json
+import math
 import re
 import sys
 from pathlib import Path
@@ -58,12 +59,14 @@ def preset(name: str, defaults: dict[str, Any]) -> dict[str, Any]:
 def data() -> dict[str, Any]:
     """Return everything."""
     meaning = meanings()
-    keys = []
+    keys, none = [], {}
     defaults: dict[str, Any] = {"controller.law": LAWS[0]}
     for law in LAWS:
         settings = _core.Settings(law)
         for key in _core.scenario_keys(law):
             defaults.setdefault(key.name, plain_value(key, settings[key.name]))
+            if key.none is not None and math.isfinite(key.none):
+                none[key.name] = key.none
     for entry in schema():
         name = entry["key"]
         shared = re.sub(rf"^controller\.(?:{'|'.join(LAWS)})\.", "controller.<law>.", name)
@@ -72,11 +75,13 @@ def data() -> dict[str, Any]:
         keys.append(
             {key: value for key, value in entry.items() if key not in ("concern", "reach")}
             | {"default": defaults[name], "meaning": text or leaf.replace("_", " ")}
+            | ({"none": none[name]} if name in none else {})  # a number that the core has for null
         )
     names = sorted(hs.scenario_names(), key=lambda name: (name != "paper", name))
     return {
         "version": hs.__version__,
         "laws": list(LAWS),
+        "twist_laws": [law for law in LAWS if _core.LAW_TRAITS[law].output == "twist"],
         "keys": keys,
         "metrics": [{"name": name, "unit": unit, "meaning": text} for name, (unit, text, *_) in METRICS.items()],
         "presets": [preset(name, defaults) for name in names],

@@ -1,7 +1,7 @@
 /** Sliders for the keys that matter, and the list of all keys. */
 import { readable, rounded, short } from "./format.js";
 import { write } from "./view.js";
-import { changed, keyOf, keysOf, parsed, presetValue, same, textOf, valueOf } from "./model.js";
+import { acts, changed, keyOf, keysOf, listedKeysOf, parsed, presetValue, same, textOf, valueOf } from "./model.js";
 
 const element = (name, attributes = {}, ...children) => {
   const made = document.createElement(name);
@@ -117,7 +117,7 @@ export function groups(state) {
   const step = valueOf(state, "simulation.step");
   const has = (key) => keyOf[key] !== undefined;
   const relative = (key, label, more = {}) => (has(key) ? [slider(state, key, { label, min: -0.5, max: 0.5, step: 0.005, percent: true, ...more })] : []);
-  const gains = keysOf(law).filter(({ key, type }) => key.startsWith(`controller.${law}.`) && (type === "number" || type === "array"));
+  const gains = keysOf(law).filter(({ key, type }) => key.startsWith(`controller.${law}.`) && (type === "number" || type === "array")).filter((spec) => acts(state, spec));
   const main = gains.filter(({ key }) => !key.includes(".fuzzy."));
   const fuzzy = gains.filter(({ key }) => /fuzzy\.(adaptation|error_scale|rate_scale|leakage|weight_limit)$/.test(key));
   const choices = (names) => names.filter(has).map((key) => ({ key, choice: true }));
@@ -284,16 +284,15 @@ export class KeyList {
     const law = valueOf(state, "controller.law");
     if (law !== this.law) {
       this.law = law;
-      this.rows = keysOf(law).map((spec) => this.row(spec));
+      this.rows = listedKeysOf(law).map((spec) => this.row(spec));
       this.box.replaceChildren(...this.rows.map(({ row }) => row));
       this.filter();
     }
-    const sampled = valueOf(state, "simulation.mode") === "sampled";
     for (const { spec, row, input } of this.rows) {
       const value = valueOf(state, spec.key);
       if (document.activeElement !== input) input.value = spec.type === "flag" ? String(value) : textOf(value);
       row.classList.toggle("changed", spec.key in state.changes);
-      row.classList.toggle("asleep", spec.mode === "sampled" && !sampled);
+      row.classList.toggle("asleep", !acts(state, spec));
     }
   }
 

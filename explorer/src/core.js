@@ -24,6 +24,8 @@ export const QUANTITIES = [
 
 const INTERFACE = 2;
 const MOST_REFUSALS = 300;
+const SCRATCH_BYTES = 65536;
+const MOST_LETTERS = 1024; // of a key's text: names, and a number of 64 bits
 const SCENE = { base_joints: 18, platform_joints: 18, home_position: 3, home_quaternion: 4, camera_position: 3, camera_attitude: 9, focal: 1 };
 const SCENE_BYTES = 8 * Object.values(SCENE).reduce((sum, count) => sum + count, 0);
 const NO_SUCH_CALL = 52;
@@ -36,6 +38,7 @@ export class Core {
     this.start();
   }
 
+  /** Begins with a new instance, which knows nothing of the runs and keys of the last one. */
   start() {
     const system = new Proxy({}, { get: () => () => NO_SUCH_CALL });
     const refuse = (at, size) => {
@@ -46,7 +49,8 @@ export class Core {
     this.c._initialize();
     if (this.c.hexservo_interface() !== INTERFACE) throw new Error("hexservo: page and core do not belong together");
     this.stack = this.c.__stack_pointer.value;
-    this.scratch = this.c.malloc(65536);
+    this.scratch = this.c.malloc(SCRATCH_BYTES);
+    this.run = 0;
     this.handle = this.c.hexservo_scenario_create();
     this.refusals = 0;
     /** @type {Map<string, unknown>} */
@@ -89,6 +93,7 @@ export class Core {
   }
 
   set(key, value) {
+    if (typeof value === "string" && value.length > MOST_LETTERS) throw new Refusal(`${key}: expected text of at most ${MOST_LETTERS} letters, got ${value.length}: shorten it`);
     const end = this.write(key, this.scratch);
     const aligned = (end + 7) & ~7;
     this.guarded(() => {
@@ -98,6 +103,7 @@ export class Core {
       }
       const numbers = value === null ? [] : [value].flat(2).map(Number);
       const room = numbers.length > 4096 ? this.c.malloc(8 * numbers.length) : aligned;
+      if (!room) throw new Refusal(`${key}: expected numbers that fit into memory, got ${numbers.length}: give fewer`);
       this.doubles(room, numbers.length).set(numbers);
       const status = this.c.hexservo_scenario_set_numbers(this.handle, this.scratch, room, numbers.length);
       if (room !== aligned) this.c.free(room);

@@ -93,7 +93,12 @@ export class Crew {
    */
   async map(scenario, names, cells, answer, refuse) {
     const id = ++this.id;
-    await this.start();
+    try {
+      await this.start();
+    } catch (error) {
+      if (id === this.id) refuse(`Maps cannot run here: ${error.message}.`);
+      return;
+    }
     if (id !== this.id) return;
     let running = this.count;
     this.answer = (message) => {

@@ -57,6 +57,9 @@ function firstBeyond(result) {
   return null;
 }
 
+/** Whether a run of a state is beyond one of its limits. */
+export const isBeyondLimits = (state, values) => limits(state).some(({ name, most }) => values[name] > most);
+
 /**
  * The limits that a run passes, as clauses that follow "but"; empty where it passes none.
  * @param {object} state

@@ -58,6 +58,7 @@ function refresh() {
   write($("about-preset"), presetOf(state.preset).description);
   controls.show(state);
   keyList.show(state);
+  if (document.body.dataset.map) map.show(state); // at once, also where the core will refuse the state
   const count = Object.keys(state.changes).length;
   $("reset").disabled = count === 0;
   $("reset").textContent = count ? `Reset ${count} ${count === 1 ? "change" : "changes"}` : "No changes";
@@ -110,7 +111,6 @@ function show() {
   at(share);
   verdict();
   table();
-  if (document.body.dataset.map) map.show(state);
 }
 
 /** Cranks of rotary legs: length [m], axes and directions at angle 0, (6, 3) unit vectors in B each; null: prismatic legs. */
@@ -259,7 +259,7 @@ addEventListener("hashchange", () => {
   if (toAddress(state) !== location.hash) goTo(location.hash);
 });
 addEventListener("resize", () => result && at(share));
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => result && requestAnimationFrame(show));
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => result && requestAnimationFrame(() => (show(), refresh())));
 matchMedia("print").addEventListener("change", () => result && at(share));
 for (const name of ["focus", "blur"]) $("image").addEventListener(name, () => result && at(share));
 
@@ -332,5 +332,7 @@ try {
   run();
   compare();
 } catch (error) {
+  $("verdict").className = "verdict bad";
+  write($("verdict"), "Does not run in this browser");
   say(`The explorer cannot run here: ${error.message}.`);
 }

@@ -2,12 +2,28 @@
 import { element, fromPlace, shown, sliders, toPlace } from "./controls.js";
 import { Crew } from "./engine.js";
 import { short, withUnit } from "./format.js";
-import { drawn, metrics, valueOf } from "./model.js";
+import { isBeyondLimits, unitOfMetric } from "./limits.js";
+import { drawn, metrics, same, valueOf } from "./model.js";
 import { cleared, colours, isShortcut, pointIn } from "./view.js";
 
 const SIZE = 64;
 const LEFT = 64, BOTTOM = 34;
-const OUTCOMES = ["completed", "diverged", "behind_camera", "feature_lost", "leg_limit", "singular", "solver_failed", "refused"];
+const COLOURS = {
+  settled: [56, 150, 90],
+  "settled, beyond a limit": [176, 206, 84],
+  "not settled": [214, 160, 60],
+  "no value": [128, 128, 128],
+  diverged: [150, 40, 50],
+  "behind camera": [120, 60, 130],
+  "feature lost": [60, 70, 150],
+  "leg limit": [180, 90, 40],
+  singular: [90, 90, 90],
+  "solver failed": [40, 110, 120],
+  refused: [70, 70, 78],
+};
+const ROUNDING = 1e-3; // of the entries that a slider moves together: it reads their factor with four digits
+const PALE = 0.3;
+const FINGER = 3; // cells that a second tap may be beside the first one
 
 /** Places of a grid, those of a coarse one first, each with the width of what it stands for until finer ones come. */
 export function coarseFirst(size = SIZE) {
@@ -23,13 +39,21 @@ export function coarseFirst(size = SIZE) {
   return order;
 }
 
+const HEAT = [[32, 48, 112], [28, 120, 142], [70, 176, 120], [180, 210, 70], [250, 225, 60]];
+const css = (colour) => `rgb(${colour.join(" ")})`;
+
 /** Dark blue to yellow, as a share of 0 to 1. */
 export function heat(share) {
-  const stops = [[32, 48, 112], [28, 120, 142], [70, 176, 120], [180, 210, 70], [250, 225, 60]];
-  const place = Math.max(0, Math.min(1, share)) * (stops.length - 1);
-  const low = Math.min(Math.floor(place), stops.length - 2);
-  return stops[low].map((c, i) => Math.round(c + (place - low) * (stops[low + 1][i] - c)));
+  const place = Math.max(0, Math.min(1, share)) * (HEAT.length - 1);
+  const low = Math.min(Math.floor(place), HEAT.length - 2);
+  return HEAT[low].map((c, i) => Math.round(c + (place - low) * (HEAT[low + 1][i] - c)));
 }
+
+/** Whether two values of a key are the same but for the last digits of numbers. */
+const alike = (a, b) => {
+  const [first, second] = [a, b].map((value) => [value].flat());
+  return first.length === second.length && first.every((x, i) => x === second[i] || Math.abs(x - second[i]) <= ROUNDING * Math.abs(x));
+};
 
 export class ParameterMap {
   /**
@@ -42,6 +66,7 @@ export class ParameterMap {
     this.crew = new Crew();
     this.canvas = box.querySelector("canvas");
     this.words = box.querySelector("[data-words]");
+    this.legend = box.querySelector(".legend");
     this.x = box.querySelector("[name=x]");
     this.y = box.querySelector("[name=y]");
     this.by = box.querySelector("[name=metric]");
@@ -51,7 +76,7 @@ export class ParameterMap {
     this.button.addEventListener("click", () => (this.running ? this.stop() : this.start()));
     this.by.addEventListener("change", () => this.draw());
     for (const select of [this.x, this.y]) select.addEventListener("change", () => this.forget());
-    this.canvas.addEventListener("click", (event) => this.pick(this.cellAt(event)));
+    this.canvas.addEventListener("click", (event) => (event.pointerType === "touch" ? this.tap(this.cellAt(event)) : this.pick(this.cellAt(event))));
     this.canvas.addEventListener("pointermove", (event) => this.look(this.cellAt(event)));
     this.canvas.addEventListener("keydown", (event) => this.key(event));
     this.cursor = [SIZE / 2, SIZE / 2];
@@ -61,6 +86,8 @@ export class ParameterMap {
   show(state) {
     if (state !== this.state) this.refusal = "";
     this.state = state;
+    this.isStale = Boolean(this.cells) && this.isOfAnother(state);
+    if (this.isStale && this.running) this.stop();
     const list = sliders(state);
     const shape = list.map(({ id, label }) => [id, label]).join();
     if (shape !== this.shape) {
@@ -73,6 +100,14 @@ export class ParameterMap {
       }
     }
     this.draw();
+  }
+
+  /** Whether the map is not that of a state: more differs than the two keys that it varies. */
+  isOfAnother(state) {
+    if (state.preset !== this.base.preset) return true;
+    const varied = this.axes.map(({ key }) => key);
+    const [cell, other] = [this.base, state].map((of) => this.at(of, 0, 0)); // what else such a key has stays
+    return Object.keys({ ...cell.changes, ...other.changes }).some((key) => !(varied.includes(key) ? alike : same)(valueOf(cell, key), valueOf(other, key)));
   }
 
   forget() {
@@ -102,6 +137,7 @@ export class ParameterMap {
     }
     const base = this.state;
     this.base = base;
+    this.isStale = false;
     this.cells = new Array(SIZE * SIZE).fill(null);
     this.count = 0;
     this.refusal = "";
@@ -114,7 +150,7 @@ export class ParameterMap {
       return [place, ...names.map((key) => valueOf(state, key))];
     });
     const take = (answers, finished) => {
-      for (const [place, outcome, values, refusal] of answers) this.cells[place] = { outcome, values, refusal };
+      for (const [place, outcome, values, refusal] of answers) this.cells[place] = { outcome, values, refusal, ending: this.ending(outcome, values) };
       this.count += answers.length;
       if (finished) this.stop();
       this.soon();
@@ -136,14 +172,23 @@ export class ParameterMap {
     return second.set(first.set(state, fromPlace(first, x / (SIZE - 1))), fromPlace(second, y / (SIZE - 1)));
   }
 
-  value(cell) {
+  /** How a run ended, as the verdict has it: a name of `COLOURS`. */
+  ending(outcome, values) {
+    if (outcome !== "completed") return outcome.replaceAll("_", " ");
+    if (Number.isNaN(values.settling_time)) return "not settled";
+    return isBeyondLimits(this.base, values) ? "settled, beyond a limit" : "settled";
+  }
+
+  /** What colours a cell: the number of a metric, or a name where there is none. */
+  value({ outcome, values, ending }) {
     const by = this.by.value;
-    if (by === "outcome") return cell.outcome === "completed" && Number.isNaN(cell.values.settling_time) ? "not settled" : cell.outcome;
-    return cell.outcome === "completed" ? cell.values[by] : NaN;
+    if (by === "outcome" || outcome !== "completed") return ending;
+    if (Number.isFinite(values[by])) return values[by];
+    return by === "settling_time" ? "not settled" : "no value";
   }
 
   range() {
-    const numbers = this.cells.filter(Boolean).map((cell) => this.value(cell)).filter((value) => Number.isFinite(value)).sort((a, b) => a - b);
+    const numbers = this.cells.filter(Boolean).map((cell) => this.value(cell)).filter((value) => typeof value === "number").sort((a, b) => a - b);
     if (!numbers.length) return [0, 1, false];
     const low = numbers[0], high = numbers[Math.floor(0.98 * (numbers.length - 1))];
     return [low, high, low > 0 && high / low > 30];
@@ -151,17 +196,9 @@ export class ParameterMap {
 
   colour(cell, [low, high, log]) {
     const value = this.value(cell);
-    if (typeof value === "string") return this.nameColour(value);
-    if (!Number.isFinite(value)) return this.nameColour(cell.outcome === "completed" ? "not settled" : cell.outcome);
+    if (typeof value === "string") return COLOURS[value] ?? COLOURS["no value"];
     const share = log ? Math.log(value / low) / Math.log(high / low) : (value - low) / (high - low || 1);
     return heat(share);
-  }
-
-  nameColour(name) {
-    if (name === "completed") return [56, 150, 90];
-    if (name === "not settled") return [214, 160, 60];
-    const shades = [[150, 40, 50], [120, 60, 130], [60, 70, 150], [180, 90, 40], [90, 90, 90], [40, 110, 120], [70, 70, 78]];
-    return shades[Math.max(0, OUTCOMES.indexOf(name) - 1) % shades.length];
   }
 
   draw() {
@@ -176,6 +213,8 @@ export class ParameterMap {
     if (!this.cells) {
       c.textAlign = "center";
       c.fillText("64 × 64 runs of this scenario", LEFT + side[0] / 2, 8 + side[1] / 2);
+      this.explained = "";
+      this.legend.replaceChildren();
       if (!this.running) this.words.textContent = this.refusal || "Each pixel will be a run of the scenario above with two keys varied.";
       return;
     }
@@ -193,19 +232,36 @@ export class ParameterMap {
     const small = (this.small ??= new OffscreenCanvas(SIZE, SIZE));
     small.getContext("2d").putImageData(picture, 0, 0);
     c.imageSmoothingEnabled = false;
+    c.globalAlpha = this.isStale ? PALE : 1;
     c.drawImage(small, LEFT, 8, ...side);
+    c.globalAlpha = 1;
     this.labels(c, width, height, colour);
-    this.marks(c, colour);
-    if (this.running) this.words.textContent = `${this.count} of ${SIZE * SIZE} runs`;
+    if (!this.isStale) this.marks(c, colour);
+    this.explain(range);
+    this.box.classList.toggle("stale", this.isStale);
+    if (this.isStale) this.words.textContent = `${this.count} runs of another scenario: compute the map of this one, or go back to that one.`;
+    else if (this.running) this.words.textContent = `${this.count} of ${SIZE * SIZE} runs`;
     else if (this.cells.every((cell) => cell?.refusal)) this.words.textContent = this.cells[0].refusal;
-    else this.words.textContent = `${this.count} runs in ${short(this.seconds, 3)} s. ${this.legend(range)} Click a pixel to take its values.`;
+    else this.words.textContent = `${this.count} runs in ${short(this.seconds, 3)} s. Click a pixel to take its values.`;
     this.canvas.dataset.done = this.running ? "" : "yes";
   }
 
-  legend([low, high, log]) {
-    if (this.by.value === "outcome") return "Green: settled; amber: completed, not settled; red and others: ended early.";
-    const unit = metrics.find(({ name }) => name === this.by.value).unit;
-    return `Blue ${withUnit(low, unit, 3)} to yellow ${withUnit(high, unit, 3)}${log ? ", logarithmic" : ""}; amber and red: not settled, or ended early.`;
+  /** The legend: a bar for the numbers, and the names that colour a cell. */
+  explain([low, high, log]) {
+    const values = new Set(this.cells.filter(Boolean).map((cell) => this.value(cell)));
+    const names = Object.keys(COLOURS).filter((name) => values.delete(name));
+    const ends = values.size ? [low, high].map((number) => this.number(number, 3)) : [];
+    const explained = [this.by.value, ends, log, names].join();
+    if (explained === this.explained) return;
+    this.explained = explained;
+    const bar = element("i", { class: "bar", style: `--bar: linear-gradient(to right, ${HEAT.map(css).join(", ")})` });
+    const numbers = ends.length ? [element("b", {}, ends[0], bar, `${ends[1]}${log ? ", logarithmic" : ""}`)] : [];
+    this.legend.replaceChildren(...numbers, ...names.map((name) => element("span", { style: `--colour: ${css(COLOURS[name])}` }, name)));
+  }
+
+  /** A number of the metric that colours the map, with its unit. */
+  number(value, digits) {
+    return withUnit(value, unitOfMetric(this.base, metrics.find(({ name }) => name === this.by.value)), digits);
   }
 
   labels(c, width, height, colour) {
@@ -266,13 +322,25 @@ export class ParameterMap {
 
   told(cell) {
     const value = this.value(cell);
-    if (typeof value === "string") return value.replaceAll("_", " ");
-    if (cell.outcome !== "completed") return cell.outcome.replaceAll("_", " ");
-    return withUnit(value, metrics.find(({ name }) => name === this.by.value).unit);
+    return typeof value === "string" ? value : this.number(value);
+  }
+
+  /** A first tap tells the value of a cell, which a finger cannot point at, and a second one takes it. */
+  tap(at) {
+    if (!at || !this.cells || this.isStale) return;
+    if (this.tapped && at.every((place, i) => Math.abs(place - this.tapped[i]) <= FINGER)) {
+      this.pick(this.tapped);
+      this.tapped = null;
+      return;
+    }
+    const cell = this.cells[at[1] * SIZE + at[0]];
+    this.tapped = this.cursor = at;
+    this.draw();
+    if (cell) this.words.textContent = `${this.told(cell)}; tap again to take its values`;
   }
 
   pick(at) {
-    if (at && this.cells) this.take((state) => this.at(state, ...at));
+    if (at && this.cells && !this.isStale) this.take((state) => this.at(state, ...at));
   }
 
   key(event) {

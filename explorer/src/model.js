@@ -6,7 +6,7 @@
 
 const data = globalThis.HEXSERVO_DATA ?? JSON.parse(globalThis.document.getElementById("data").textContent);
 
-export const { laws, keys, metrics, presets, version } = data;
+export const { laws, twist_laws: twistLaws, keys, metrics, presets, version } = data;
 
 /** What `hexservo explore` wrote into the page: a packaged scenario's name, or a scenario as one more preset. */
 const own = JSON.parse(globalThis.document?.getElementById("own").textContent ?? "null");
@@ -21,6 +21,8 @@ const lawOfKey = (name) => {
   return laws.includes(law) ? law : null;
 };
 
+const LOGGING = "simulation.log_every";
+
 export const presetOf = (name) => presets.find((preset) => preset.name === name) ?? presets[0];
 
 /** Value of a key where nothing is changed. */
@@ -30,6 +32,17 @@ export const valueOf = (state, key) => (key in state.changes ? state.changes[key
 
 /** The keys that a law has. */
 export const keysOf = (law) => keys.filter((key) => (lawOfKey(key.key) ?? law) === law);
+
+/** Keys that a user finds: how often samples are logged is the page's own choice. */
+export const listedKeysOf = (law) => keysOf(law).filter(({ key }) => key !== LOGGING);
+
+/** Whether a key has an effect: not one of the other mode, nor what makes a wrench of a twist where legs follow that by themselves. */
+export function acts(state, { key, mode }) {
+  const sampled = valueOf(state, "simulation.mode") === "sampled";
+  if (mode === "sampled" && !sampled) return false;
+  const follow = sampled && valueOf(state, "actuators.kind") !== "force";
+  return !(follow && twistLaws.some((law) => key === `controller.${law}.ki`));
+}
 
 /** All keys of the law that acts, as the core takes them. */
 export function full(state) {
@@ -41,9 +54,10 @@ export function full(state) {
 
 export const same = (a, b) => JSON.stringify(a) === JSON.stringify(b);
 
-/** The state with a key changed; a value that the preset has is no change. */
-export function changed(state, key, value) {
+/** The state with a key changed, to null by the number that stands for it; a value that the preset has is no change. */
+export function changed(state, key, number) {
   const changes = { ...state.changes };
+  const value = number === keyOf[key].none ? null : number;
   if (same(value, presetValue(state.preset, key))) delete changes[key];
   else changes[key] = value;
   return { ...state, changes };
@@ -95,7 +109,7 @@ export function readAddress(hash) {
     const key = part.slice(0, Math.max(place, 0));
     try {
       if (place < 1) throw new Error(`address: expected key=value, got "${part}"`);
-      if (!Object.hasOwn(keyOf, key)) throw new Error(`address: expected a key of "All parameters", got "${key}"`);
+      if (!Object.hasOwn(keyOf, key) || key === LOGGING) throw new Error(`address: expected a key of "All parameters", got "${key}"`);
       state = changed(state, key, parsed(key, part.slice(place + 1).replaceAll(",", " ")));
     } catch (error) {
       ignored.push(`${error.message}: left out`);
@@ -106,11 +120,16 @@ export function readAddress(hash) {
 
 // --- YAML
 
+const MOST_LETTERS_OF_NAME = 60;
+
+/** What is exact: a scenario file has "true" for it. */
+const EXACT = { "sensors.pose": "truth", "sensors.rate": "true_rates" };
+
 /** A value as a scenario file has it. */
 function yamlValue(spec, value) {
   if (value === null) return "null";
   if (spec.type === "flag") return value ? "true" : "false";
-  if (spec.type === "choice") return spec.key === "sensors.pose" && value.startsWith("tru") ? "true" : value;
+  if (spec.type === "choice") return value === EXACT[spec.key] ? "true" : value;
   if (spec.type === "seed" || !Array.isArray(value)) return yamlNumber(value);
   const rows = spec.shape?.length === 2 && value.length > 3 ? spec.shape[1] : 0;
   const list = (numbers) => `[${numbers.map(yamlNumber).join(", ")}]`;
@@ -128,7 +147,6 @@ const yamlNumber = (number) => String(number);
  */
 export function toYaml(state) {
   const scenario = full(state);
-  const sampled = scenario["simulation.mode"] === "sampled";
   const points = scenario["target.points"] !== null;
   const tree = {};
   const put = (key, text) => {
@@ -144,11 +162,12 @@ export function toYaml(state) {
     if (points && (key.key === "target.initial_features" || key.key === "target.depth")) continue;
     const side = key.key.match(/^robot\.(platform|base)_(radius|angles)$/)?.[1];
     if (side && scenario[`robot.${side}_joints`] !== null) continue;
-    if (key.mode === "sampled" && !sampled) continue;
+    if (!acts(state, key)) continue;
     if (fixed || !same(value, key.default)) put(key.key, yamlValue(key, value));
   }
   put("controller.law", scenario["controller.law"]);
-  const name = state.preset + (Object.keys(state.changes).length ? "-changed" : "");
+  const mark = Object.keys(state.changes).length ? "-changed" : "";
+  const name = JSON.stringify(state.preset.slice(0, MOST_LETTERS_OF_NAME - mark.length) + mark); // in quotes, for it may be 1 or true
   const lines = [`# Made with the hexservo explorer ${version}: hexservo run FILE`, `name: ${name}`];
   const write = (block, depth) => {
     for (const [key, value] of Object.entries(block)) {
@@ -172,5 +191,5 @@ export const MOST_ROWS = 800;
 export function drawn(state) {
   const scenario = full(state);
   const steps = scenario["simulation.duration"] / scenario["simulation.step"];
-  return { ...scenario, "simulation.log_every": Math.max(1, Math.ceil(steps / MOST_ROWS)) };
+  return { ...scenario, [LOGGING]: Math.max(1, Math.ceil(steps / MOST_ROWS)) };
 }

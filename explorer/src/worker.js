@@ -79,6 +79,7 @@ onmessage = async ({ data }) => {
     if (data.scenario) await run(data.id, data.scenario, data.spare);
     else if (data.map) await map(data.id, data.map);
   } catch (error) {
+    if (!(error instanceof Refusal)) core.start(); // what failed has left this one in no state to go on from
     postMessage({ id: data.id, refusal: error.message, known: error instanceof Refusal });
   }
 };

@@ -198,6 +198,76 @@ def test_the_yaml_of_every_preset_is_the_same_scenario(visit: Visit) -> None:
         assert acting(core_values(again)) == acting(full), name
 
 
+@in_browser
+@pytest.mark.parametrize(
+    "address",
+    ["#paper", "#composite-30hz", "#pi-h824-positions&controller.law=resolved_rate", "#reachy-mini-head"],
+)
+def test_the_yaml_of_a_slider_anywhere_is_a_scenario(visit: Visit, address: str) -> None:
+    """At both ends and in the middle of each, Python takes what the page runs."""
+    visit.go(address)
+    moved = visit.page.evaluate(
+        """address => {
+          const names = [...document.querySelectorAll('#controls input[type=range]')].map(input => input.dataset.id);
+          return names.flatMap(name => [0, 500, 1000].map(place => {
+            explorer.go(address);
+            const input = document.querySelector(`[data-id="${name}"]`);
+            input.value = place;
+            input.dispatchEvent(new Event('change', { bubbles: true }));
+            return [name, explorer.yaml(), structuredClone(explorer.state.changes)];
+          }));
+        }""",
+        address,
+    )
+    assert len(moved) >= 30
+    for name, text, changes in moved:
+        words = refusal_of(text)
+        if words:
+            parts = [f"{key}={','.join(map(str, np.atleast_1d(value)))}" for key, value in changes.items()]
+            refused = visit.go("&".join([address.partition("&")[0], *parts]))["refusal"]
+            assert refused is not None, (name, parts, words)
+
+
+def refusal_of(text: str) -> str:
+    """Return why Python refuses a scenario's YAML; nothing where it takes it."""
+    try:
+        hs.Scenario.from_yaml(text)
+    except hs.ScenarioError as error:
+        return str(error)
+    return ""
+
+
+@in_browser
+def test_the_yaml_has_what_acts_as_python_writes_it(visit: Visit) -> None:
+    """Numbers for null, exact sensors, and an integral gain that legs which follow twists do not have."""
+
+    def read(address: str) -> hs.Scenario:
+        assert visit.go(address)["refusal"] is None, address
+        return hs.Scenario.from_yaml(visit.page.evaluate("explorer.yaml()"))
+
+    scenario = read("#composite-30hz&camera.period=0&sensors.period=0")
+    assert scenario.camera.period == scenario.simulation.step, "which is what null stands for"
+    assert visit.page.evaluate("explorer.state.changes") == {"camera.period": None}
+    sensors = read("#composite-30hz&sensors.pose=encoders&sensors.rate=true_rates").sensors
+    assert (sensors.pose, sensors.rate) == ("encoders", True)
+    gains = read("#pi-h824-positions&controller.law=resolved_rate&controller.resolved_rate.ki=9").controller.gains
+    assert gains.ki == type(gains)().ki
+    assert visit.page.locator('[data-id^="controller.resolved_rate.ki"]').count() == 0
+    visit.go("#paper&controller.law=resolved_rate")
+    assert visit.page.locator('[data-id^="controller.resolved_rate.ki"]').count() == 2
+
+
+@in_browser
+def test_what_the_page_chooses_itself_is_no_parameter(visit: Visit) -> None:
+    visit.go("#paper&simulation.log_every=7")
+    assert visit.page.evaluate("explorer.state.changes") == {}
+    assert "simulation.log_every" in visit.page.locator("#message").inner_text()
+    visit.page.click("#all-keys > summary")
+    visit.page.wait_for_selector("[id='key-simulation.duration']")
+    assert visit.page.locator("[id='key-simulation.log_every']").count() == 0
+    visit.go("#paper")
+
+
 def acting(values: dict[str, Any]) -> dict[str, Any]:
     """Leave out what does not act: keys of the other mode, an image beside points, circles beside joints."""
     sampled = values["simulation.mode"] == "sampled"
@@ -748,6 +818,144 @@ def test_a_map_of_what_the_core_refuses_gives_its_words(browser: Browser, file: 
     visit.context.close()
 
 
+MAP_OF = "&simulation.duration=0.2&metrics.rms_start=0.1&metrics.dwell=0.01"
+
+
+def begin_map(visit: Visit, address: str, x: str, y: str, metric: str) -> None:
+    """Open the map of a scenario, begin it, and wait for some of its runs."""
+    page = visit.page
+    visit.go(address)
+    if not page.locator("#map").is_visible():
+        page.click("#map-section summary")
+    for name, value in {"x": x, "y": y, "metric": metric}.items():
+        page.select_option(f"#map [name={name}]", value)
+    page.click("#map button")
+    page.wait_for_selector("#map .legend > *")
+
+
+def legend(page: Page) -> list[str]:
+    """What the legend of the map names; the numbers first."""
+    found: list[str] = page.locator("#map .legend > *").all_inner_texts()
+    return found
+
+
+@in_browser
+def test_a_map_is_of_one_scenario(visit: Visit) -> None:
+    """Its run ends with that, it gives nothing to another one, and comes back with it."""
+    page = visit.page
+    address = f"#task-tilt&controller.law=pbvs{MAP_OF}"
+    stale = "document.getElementById('map').classList.contains('stale')"
+    begin_map(visit, address, "controller.pbvs.kp/linear", "uncertainty.depth", "final_error")
+    canvas = page.locator("#map canvas")
+    box = canvas.bounding_box()
+    assert box is not None
+    place = {"x": box["width"] / 2, "y": box["height"] / 3}
+    depth = page.evaluate("explorer.state.changes")
+    for other in ("#paper", f"#task-tilt&controller.law=kelly{MAP_OF}", f"{address}&uncertainty.gravity=0.02"):
+        visit.go(other)
+        assert page.locator("#map button").inner_text() == "Compute the map"
+        assert page.evaluate(stale), other
+        assert "runs of another scenario" in page.locator("#map [data-words]").inner_text()
+        before = page.evaluate("explorer.state")
+        canvas.click(position=place)  # type: ignore[arg-type]
+        assert page.evaluate("explorer.state") == before
+        visit.go(f"{address}&uncertainty.depth=0.1,0.1,0.1,0.1")
+        assert not page.evaluate(stale)
+    page.evaluate("explorer.shown = null")
+    canvas.click(position=place)  # type: ignore[arg-type]
+    page.wait_for_function("explorer.shown !== null")
+    assert set(page.evaluate("explorer.state.changes")) - set(depth) == {"controller.pbvs.kp", "uncertainty.depth"}
+    assert not page.evaluate(stale)
+
+
+@in_browser
+def test_the_legend_of_a_map_names_its_colours(visit: Visit) -> None:
+    """Angles for cranks, and a run that the sentence warns of is not called settled alone."""
+    page = visit.page
+    begin_map(visit, f"#reachy-mini{MAP_OF}", "uncertainty.depth", "camera.noise", "peak_leg_excursion")
+    assert re.fullmatch(r"[\d.]+° ?[\d.]+°(, logarithmic)?", legend(page)[0].replace("\n", "")), legend(page)
+    page.select_option("#map [name=metric]", "settling_time")
+    assert legend(page) == ["not settled"]
+    for change, ending in ("", "settled"), ("&robot.force_limit=0.05", "settled, beyond a limit"):
+        address = f"#paper&simulation.duration=1&metrics.rms_start=0.5{change}"
+        begin_map(visit, address, "uncertainty.coriolis", "uncertainty.inertia", "outcome")
+        assert ending in legend(page), change
+        page.select_option("#map [name=metric]", "settling_time")
+        assert ending not in legend(page)
+        assert re.match(r"[\d.]+ s", legend(page)[0])
+        page.click("#map button")
+
+
+@in_browser
+def test_a_second_tap_takes_what_the_first_one_tells(browser: Browser, file: Path) -> None:
+    visit = Visit(browser, file, viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True)
+    page = visit.page
+    begin_map(visit, f"#task-tilt&controller.law=pbvs{MAP_OF}", "uncertainty.inertia", "uncertainty.depth", "outcome")
+    page.wait_for_function("/^[0-9]{3}/.test(document.querySelector('#map [data-words]').textContent)")
+    page.click("#map button")
+    before = page.evaluate("Object.keys(explorer.state.changes)")
+    canvas = page.locator("#map canvas")
+    canvas.scroll_into_view_if_needed()
+    box = canvas.bounding_box()
+    assert box is not None
+    canvas.tap(position={"x": 66, "y": box["height"] - 38})
+    assert page.locator("#map [data-words]").inner_text().endswith("; tap again to take its values")
+    assert page.evaluate("Object.keys(explorer.state.changes)") == before
+    canvas.tap(position={"x": 70, "y": box["height"] - 42})
+    page.wait_for_function("explorer.state.changes['uncertainty.depth'] !== undefined")
+    assert visit.problems == []
+    visit.context.close()
+
+
+# --- failures
+
+
+@in_browser
+def test_a_text_that_no_key_has_is_refused(visit: Visit) -> None:
+    """It would be written over what lies behind the place for it."""
+    key = "controller.switching.kind"
+    refusal = visit.go(f"#paper&{key}={'a' * 160_000}")["refusal"]
+    assert refusal == f"{key}: expected text of at most 1024 letters, got 160000: shorten it"
+    assert visit.go("#paper-gravity")["refusal"] is None
+
+
+@in_browser
+def test_after_a_failure_of_the_core_the_page_goes_on(visit: Visit) -> None:
+    """With a core whose memory was written over every later call would fail."""
+    before = visit.end()
+    for worker in visit.page.workers:
+        worker.evaluate(
+            """() => {
+              const set = Uint8Array.prototype.set;
+              Uint8Array.prototype.set = function (...all) {
+                Uint8Array.prototype.set = set;
+                new Uint8Array(this.buffer).fill(255);
+                return this.set(...all);
+              };
+            }"""
+        )
+    assert visit.go("#paper&uncertainty.gravity=0.01")["refusal"] is not None
+    assert visit.page.locator("#message").inner_text().startswith("The core failed: ")
+    again = visit.go("#paper")
+    assert again["refusal"] is None
+    assert again["metrics"] == pytest.approx(before["metrics"], rel=0, abs=0, nan_ok=True)
+
+
+@in_browser
+def test_without_webassembly_the_page_and_its_map_say_so(browser: Browser, file: Path) -> None:
+    page = browser.new_page()
+    page.add_init_script("delete globalThis.WebAssembly")
+    page.goto(file.as_uri())
+    page.wait_for_selector("#verdict.bad")
+    assert page.locator("#verdict").inner_text() == "Does not run in this browser"
+    assert page.locator("#message").inner_text().startswith("The explorer cannot run here: ")
+    page.click("#map-section summary")
+    page.click("#map button")
+    page.wait_for_function("document.querySelector('#map [data-words]').textContent.startsWith('Maps cannot run here')")
+    assert page.locator("#map button").inner_text() == "Compute the map"
+    page.close()
+
+
 # --- people and devices
 
 
@@ -955,6 +1163,8 @@ def test_a_scenario_of_a_file_is_one_more_preset(browser: Browser, tmp_path: Pat
     (tmp_path / "page.html").write_text(explorer_page(scenario), encoding="utf-8")
     visit = Visit(browser, tmp_path / "page.html")
     assert visit.page.evaluate("explorer.full()") == core_values(scenario)
+    again = hs.Scenario.from_yaml(visit.page.evaluate("explorer.yaml()"))
+    assert (again.name, again.uncertainty) == ("task-tilt-file", scenario.uncertainty)
     assert visit.problems == []
     visit.context.close()
 

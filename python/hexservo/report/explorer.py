@@ -73,7 +73,7 @@ def explorer_page(scenario: Scenario | str = "paper") -> str:
     page = checked_page(file.read_text(encoding="utf-8"))
     own: dict[str, object] = {"start": scenario}
     if isinstance(scenario, Scenario):
-        name = scenario.name + (" (file)" if scenario.name in scenario_names() else "")
+        name = scenario.name + ("-file" if scenario.name in scenario_names() else "")  # a name that a file may have
         preset = {"name": name, "description": scenario.description, "values": core_values(scenario)}
         own = {"start": name, "preset": preset}
     text = json.dumps(own, allow_nan=False).replace("<", "\\u003c")
