@@ -6,7 +6,7 @@ import { short, withUnit } from "./format.js";
 import { ImageView } from "./image.js";
 import { middles, passedLimits, unitOfMetric } from "./limits.js";
 import { ParameterMap } from "./map.js";
-import { changed, drawn, full, laws, metrics, presetOf, presets, readAddress, start, toAddress, toYaml, valueOf } from "./model.js";
+import { MOST_EVERY, changed, drawn, full, laws, metrics, presetOf, presets, readAddress, start, textOf, toAddress, toYaml, valueOf, version } from "./model.js";
 import { endsAt, targetAt } from "./machine.js";
 import { MachineView } from "./scene.js";
 import { write } from "./view.js";
@@ -189,7 +189,8 @@ function table() {
 
 function compare() {
   reference = null;
-  referee?.run({ ...drawn({ preset: state.preset, changes: {} }), "simulation.log_every": 1e9 });
+  const preset = { preset: state.preset, changes: {} };
+  referee?.run({ ...full(preset), "simulation.log_every": MOST_EVERY }, preset);
 }
 
 // --- time

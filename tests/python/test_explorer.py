@@ -802,6 +802,16 @@ def test_on_paper_there_are_pictures_and_numbers_and_no_controls(visit: Visit) -
 
 
 @in_browser
+@pytest.mark.parametrize("change", ["step=0", "step=1e-30", "duration=Infinity", "duration=1e15"])
+def test_a_refusal_names_the_key_that_was_changed(visit: Visit, change: str) -> None:
+    """What the page adds for itself, how often a run is sampled, is right whatever the step and the duration are."""
+    refusal = visit.go(f"#paper&simulation.{change}")["refusal"]
+    assert refusal.startswith(
+        "simulation.duration" if change == "step=1e-30" else f"simulation.{change.partition('=')[0]}: "
+    )
+
+
+@in_browser
 def test_the_picture_follows_a_slider_within_a_frame_or_some(visit: Visit) -> None:
     """Measured from the change to the drawn picture, and printed; a busy machine takes longer, so 60 frames pass."""
     page = visit.page
