@@ -726,6 +726,19 @@ def test_a_map_has_the_numbers_of_single_runs(visit: Visit) -> None:
     told = page.locator("#map [data-words]").inner_text()
     assert told.startswith("4096 runs in ")
     assert len(page.workers) == 2 + min(8, page.evaluate("navigator.hardwareConcurrency"))
+@in_browser
+def test_one_number_for_six_gains_is_that_of_both_sliders(visit: Visit) -> None:
+    page = visit.page
+    visit.go("#paper&controller.hybrid.kv=0.003")
+    halves = [told(page, f"controller.hybrid.kv/{half}") for half in ("linear", "angular")]
+    assert halves == [("kv, force", "0.003 N"), ("kv, moment", "0.003 N m")]
+    press(page, "controller.hybrid.kv/angular", "ArrowLeft")
+    moved = page.evaluate("explorer.state.changes['controller.hybrid.kv']")
+    assert moved[:3] == [0.003] * 3
+    assert moved[3] == moved[4] == moved[5] < 0.003
+    assert visit.end()["refusal"] is None
+
+
     outcome, expected = native(hs.Scenario.from_yaml(page.evaluate("explorer.yaml()")))
     end = visit.end()
     assert (outcome, end["metrics"]["final_error"]) == ("completed", pytest.approx(expected["final_error"], rel=1e-9))
