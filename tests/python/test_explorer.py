@@ -186,6 +186,95 @@ def test_a_long_run_leaves_the_page_alive(visit: Visit) -> None:
     assert visit.end()["metrics"]["settling_time"] == pytest.approx(0.353)
 
 
+@in_browser
+def test_what_is_shown_is_named_and_measured_as_the_run_that_it_is_of(visit: Visit) -> None:
+    """After a refusal the last good run stays, pale, with its own band, units and preset, redrawn or not."""
+    page = visit.page
+    visit.go("#paper")
+    words = page.locator("#verdict").inner_text()
+    numbers = page.evaluate("[...document.querySelectorAll('#metrics tr')].map(row => row.cells[1].textContent)")
+    assert visit.go("#reachy-mini&metrics.dwell=-1&metrics.band=-3")["refusal"].startswith("metrics.")
+    page.wait_for_function("explorer.reference")
+    page.select_option("#span", "all")
+    page.emulate_media(media="print")
+    assert page.locator("#verdict").inner_text() == words
+    found = page.evaluate(
+        "[...document.querySelectorAll('#metrics tr')].map(row => [...row.cells].map(c => c.textContent))"
+    )
+    assert [cells[1] for cells in found] == numbers
+    assert {cells[2] for cells in found} == {""}
+    for name in ("#verdict", ".views", ".charts"):
+        assert page.locator(name).evaluate("part => getComputedStyle(part).opacity") == "0.4", name
+
+
+@in_browser
+def test_a_run_that_takes_long_is_announced_and_what_is_shown_meanwhile_is_pale(visit: Visit) -> None:
+    page = visit.page
+    page.evaluate("explorer.go('#unequal-depth-60s&simulation.duration=600')")
+    page.wait_for_function("document.body.classList.contains('stale')")
+    page.wait_for_function("document.getElementById('share').value > 0")
+    assert page.locator("#busy").is_visible()
+    assert page.evaluate("explorer.shown") == "#paper"
+    page.evaluate("explorer.go('#paper&uncertainty.gravity=0.01')")
+    page.wait_for_function("explorer.shown.includes('gravity')")
+    assert page.locator("#busy").is_hidden()
+    assert page.evaluate("document.body.className") == ""
+
+
+@in_browser
+def test_a_request_that_waits_starts_whatever_became_of_the_one_before(visit: Visit) -> None:
+    visit.go("#reachy-mini-head")
+    visit.page.evaluate(
+        """() => {
+          explorer.shown = null;
+          explorer.set('uncertainty.depth', [.1, .1, .1, .1]);
+          explorer.set('robot.cranks.axes', [1, 2, 3, 4]);
+        }"""
+    )
+    visit.page.wait_for_function("explorer.refusal !== null")
+    assert visit.end()["refusal"] == "robot.cranks.axes: expected 18 numbers, got 4"
+
+
+@in_browser
+def test_play_begins_where_the_first_frame_is_before_the_click(visit: Visit) -> None:
+    """The time of a frame is that of its begin, which a click may be later than."""
+    page = visit.page
+    page.evaluate("() => { const clock = performance.now.bind(performance); performance.now = () => clock() + 1000 }")
+    page.click("#play")
+    page.wait_for_function("parseFloat(document.getElementById('now').textContent) > 0.05")
+    page.click("#play")
+    assert page.evaluate("document.getElementById('now').textContent") != "5.000 s"
+
+
+@in_browser
+def test_the_page_is_answered_within_a_run_of_slow_steps(visit: Visit) -> None:
+    """2000 substeps make a control step take milliseconds: looks at what is asked for are of time, not of steps."""
+    page = visit.page
+    page.evaluate("explorer.go('#composite-30hz&simulation.substeps=2000&simulation.duration=50')")
+    page.wait_for_function("document.getElementById('share').value > 0")
+    assert page.evaluate("document.getElementById('share').value") < 0.1
+    visit.go("#paper")
+    assert visit.end()["metrics"]["settling_time"] == pytest.approx(0.353)
+
+
+@in_browser
+def test_metrics_of_another_span_of_time_are_not_called_better(visit: Visit) -> None:
+    page = visit.page
+    coloured = "document.querySelectorAll('#metrics td:is(.good, .bad)').length"
+    heading = page.locator("#of-preset")
+    visit.go("#composite-30hz&uncertainty.gravity=0.05")
+    page.wait_for_function("explorer.reference")
+    assert page.evaluate(coloured) > 0
+    assert heading.inner_text() == "preset"
+    assert visit.go("#composite-30hz&robot.stroke=0.004&robot.on_limit=stop")["outcome"] == "leg_limit"
+    assert page.evaluate(coloured) == 0
+    assert heading.inner_text() == "preset, not comparable: outcome leg limit against completed"
+    visit.go("#paper&simulation.duration=2")
+    page.wait_for_function("explorer.reference")
+    assert page.evaluate(coloured) == 0
+    assert heading.inner_text() == "preset, not comparable: 2 s against 5 s"
+
+
 # --- scenarios in and out
 
 
