@@ -6,7 +6,7 @@ import { short, withUnit } from "./format.js";
 import { ImageView } from "./image.js";
 import { middles, passedLimits, unitOfMetric } from "./limits.js";
 import { ParameterMap } from "./map.js";
-import { MOST_EVERY, changed, drawn, full, laws, metrics, presetOf, presets, readAddress, start, toAddress, toYaml, valueOf } from "./model.js";
+import { MOST_EVERY, changed, drawn, full, laws, metrics, presetOf, presets, readAddress, start, textOf, toAddress, toYaml, valueOf, version } from "./model.js";
 import { endsAt, targetAt } from "./machine.js";
 import { MachineView } from "./scene.js";
 import { write } from "./view.js";
@@ -42,7 +42,19 @@ function change(how, final = true) {
   if (other) compare();
   refresh();
   clearTimeout(addressTimer);
-  addressTimer = setTimeout(() => history.replaceState(null, "", toAddress(state)), final ? 0 : SETTLE);
+  addressTimer = setTimeout(() => writeAddress(final), final && performance.now() - written > SETTLE ? 0 : SETTLE);
+}
+
+let goesOn = false; // the change of the newest entry of the history
+let written = -Infinity; // [ms]
+
+/** One entry of the history for each change, however long it is dragged: Back undoes it. */
+function writeAddress(final) {
+  clearTimeout(addressTimer);
+  const address = toAddress(state);
+  if (address !== location.hash) history[goesOn ? "replaceState" : "pushState"](null, "", address);
+  goesOn = !final;
+  written = performance.now();
 }
 
 /** Shows what an address says. */
@@ -192,6 +204,15 @@ function verdict() {
   const before = preset && isChanged() ? ending(preset.state, { ...preset, detail: "" })[1] : "";
   write($("against"), before && `Preset: ${before.replace(/^./, (letter) => letter.toLowerCase())}`);
   image.canvas.setAttribute("aria-label", `Image plane: paths of ${result.points} features to their goals. ${words}. Arrow keys move a goal, digits choose it.`);
+  write($("origin"), origin(result.state));
+}
+
+/** What a printed page is of. */
+function origin(of) {
+  const changes = Object.entries(of.changes).map(([key, value]) => `${key} = ${textOf(value)}`);
+  const law = valueOf(of, "controller.law").replaceAll("_", " ");
+  const address = location.href.split("#")[0] + toAddress(of);
+  return [`Scenario ${of.preset}`, `law ${law}`, changes.length ? `changed: ${changes.join(", ")}` : "nothing changed", `hexservo ${version}`, address].join("; ");
 }
 
 /** Why the metrics of two runs are of different spans of time, which makes them no better or worse; "" where they are of one. */
@@ -263,7 +284,7 @@ const scene = new MachineView($("scene"), (shift, phase) => {
     at(0);
   } else if (phase === "move") {
     change((now) => changed(now, "simulation.start.pose", held.map((x, i) => (i < 3 ? Math.round(1e5 * (x + shift[i])) / 1e5 : x))), false);
-  } else history.replaceState(null, "", toAddress(state));
+  } else writeAddress(true);
 });
 const charts = ["errors", "forces", "moments"].map((figure, i) => {
   const chart = new Chart($(`chart-${i}`), figure, pick);
@@ -294,7 +315,10 @@ $("map-section").addEventListener("toggle", () => {
   if ($("map-section").open) map.show(state);
 });
 addEventListener("hashchange", () => {
-  if (toAddress(state) !== location.hash) goTo(location.hash);
+  if (toAddress(state) === location.hash) return;
+  goTo(location.hash || start);
+  clearTimeout(addressTimer); // the history has it
+  goesOn = false;
 });
 addEventListener("resize", () => result && at(share));
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => result && requestAnimationFrame(show));
@@ -323,7 +347,7 @@ $("as-yaml").addEventListener("click", () => {
 });
 $("copy").addEventListener("click", () => copied($("yaml").value, $("copy")));
 $("link").addEventListener("click", () => {
-  history.replaceState(null, "", toAddress(state));
+  writeAddress(true);
   copied(location.href, $("link"));
 });
 

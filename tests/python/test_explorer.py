@@ -642,6 +642,30 @@ def test_changes_are_in_the_address_and_in_the_yaml(visit: Visit, browser: Brows
     assert visit.end()["metrics"] == pytest.approx(before["metrics"], rel=0, abs=0, nan_ok=True)
 
 
+@in_browser
+def test_back_undoes_a_change(visit: Visit) -> None:
+    """A drag is one entry of the history, however many values it goes through."""
+    page = visit.page
+    page.evaluate(
+        """async () => {
+          const slider = document.querySelector('[data-id="uncertainty.depth"]');
+          const move = (value, kind) => { slider.value = value; slider.dispatchEvent(new Event(kind)); };
+          const rest = () => new Promise(done => setTimeout(done, 400));
+          move(600, 'input'); await rest(); move(650, 'input'); await rest(); move(700, 'change'); await rest();
+        }"""
+    )
+    dragged = page.evaluate("location.hash")
+    assert dragged == "#paper&uncertainty.depth=" + "%2C".join(["0.36"] * 4)
+    page.select_option("#preset", "task-tilt")
+    page.wait_for_function("location.hash === '#task-tilt'")
+    for address in (dragged, "#paper"):
+        page.go_back()
+        page.wait_for_function("address => explorer.shown === address", arg=address)
+    page.go_forward()
+    page.wait_for_function("address => explorer.shown === address", arg=dragged)
+    assert page.locator('[data-id="uncertainty.depth"]').input_value().startswith("699.99")
+
+
 def press(page: Page, slider: str, key: str) -> None:
     """Move a slider by a key, and wait for the run."""
     page.evaluate("explorer.shown = null")
@@ -700,6 +724,19 @@ def test_a_slider_of_different_gains_multiplies_them_all(visit: Visit) -> None:
         for kind in kinds:
             halves = [""] if kind == "kp" and law != "pbvs" else ["/linear", "/angular"]
             assert {f"controller.{law}.{kind}{half}" for half in halves} <= keys, (address, kind)
+
+
+@in_browser
+def test_one_number_for_six_gains_is_that_of_both_sliders(visit: Visit) -> None:
+    page = visit.page
+    visit.go("#paper&controller.hybrid.kv=0.003")
+    halves = [told(page, f"controller.hybrid.kv/{half}") for half in ("linear", "angular")]
+    assert halves == [("kv, force", "0.003 N"), ("kv, moment", "0.003 N m")]
+    press(page, "controller.hybrid.kv/angular", "ArrowLeft")
+    moved = page.evaluate("explorer.state.changes['controller.hybrid.kv']")
+    assert moved[:3] == [0.003] * 3
+    assert moved[3] == moved[4] == moved[5] < 0.003
+    assert visit.end()["refusal"] is None
 
 
 @in_browser
@@ -765,6 +802,16 @@ def test_what_the_core_refuses_is_shown_in_its_words(visit: Visit) -> None:
 
 
 @in_browser
+@pytest.mark.parametrize("change", ["step=0", "step=1e-30", "duration=Infinity", "duration=1e15"])
+def test_a_refusal_names_the_key_that_was_changed(visit: Visit, change: str) -> None:
+    """What the page adds for itself, how often a run is sampled, is right whatever the step and the duration are."""
+    refusal = visit.go(f"#paper&simulation.{change}")["refusal"]
+    assert refusal.startswith(
+        "simulation.duration" if change == "step=1e-30" else f"simulation.{change.partition('=')[0]}: "
+    )
+
+
+@in_browser
 def test_a_goal_and_the_platform_can_be_dragged(visit: Visit) -> None:
     page = visit.page
     page.locator("#image").focus()
@@ -815,19 +862,6 @@ def test_a_map_has_the_numbers_of_single_runs(visit: Visit) -> None:
     told = page.locator("#map [data-words]").inner_text()
     assert told.startswith("4096 runs in ")
     assert len(page.workers) == 2 + min(8, page.evaluate("navigator.hardwareConcurrency"))
-@in_browser
-def test_one_number_for_six_gains_is_that_of_both_sliders(visit: Visit) -> None:
-    page = visit.page
-    visit.go("#paper&controller.hybrid.kv=0.003")
-    halves = [told(page, f"controller.hybrid.kv/{half}") for half in ("linear", "angular")]
-    assert halves == [("kv, force", "0.003 N"), ("kv, moment", "0.003 N m")]
-    press(page, "controller.hybrid.kv/angular", "ArrowLeft")
-    moved = page.evaluate("explorer.state.changes['controller.hybrid.kv']")
-    assert moved[:3] == [0.003] * 3
-    assert moved[3] == moved[4] == moved[5] < 0.003
-    assert visit.end()["refusal"] is None
-
-
     outcome, expected = native(hs.Scenario.from_yaml(page.evaluate("explorer.yaml()")))
     end = visit.end()
     assert (outcome, end["metrics"]["final_error"]) == ("completed", pytest.approx(expected["final_error"], rel=1e-9))
@@ -894,23 +928,19 @@ def test_lines_of_one_colour_differ_in_their_dash(visit: Visit) -> None:
 @in_browser
 def test_on_paper_there_are_pictures_and_numbers_and_no_controls(visit: Visit) -> None:
     page = visit.page
+    visit.go("#paper&uncertainty.gravity=0.01")
+    assert page.locator("#origin").is_hidden()
     page.emulate_media(media="print")
+    address = page.evaluate("location.href.split('#')[0]") + "#paper&uncertainty.gravity=0.01"
+    assert page.locator("#origin").inner_text() == (
+        f"Scenario paper; law hybrid; changed: uncertainty.gravity = 0.01; hexservo {hs.__version__}; {address}"
+    )
     for name in ("#image", "#scene", "#chart-0", "#metrics", "#verdict"):
         assert page.locator(name).is_visible(), name
     for name in ("#controls", ".buttons", ".timeline", "#map-section"):
         assert page.locator(name).is_hidden(), name
     page.emulate_media(media="screen")
     assert page.locator("#controls").is_visible()
-
-
-@in_browser
-@pytest.mark.parametrize("change", ["step=0", "step=1e-30", "duration=Infinity", "duration=1e15"])
-def test_a_refusal_names_the_key_that_was_changed(visit: Visit, change: str) -> None:
-    """What the page adds for itself, how often a run is sampled, is right whatever the step and the duration are."""
-    refusal = visit.go(f"#paper&simulation.{change}")["refusal"]
-    assert refusal.startswith(
-        "simulation.duration" if change == "step=1e-30" else f"simulation.{change.partition('=')[0]}: "
-    )
 
 
 @in_browser
