@@ -52,8 +52,9 @@ let written = -Infinity; // [ms]
 function writeAddress(final) {
   clearTimeout(addressTimer);
   const address = toAddress(state);
-  if (address !== location.hash) history[goesOn ? "replaceState" : "pushState"](null, "", address);
-  goesOn = !final;
+  const isNew = address !== location.hash;
+  if (isNew) history[goesOn ? "replaceState" : "pushState"](null, "", address);
+  goesOn = !final && (goesOn || isNew);
   written = performance.now();
 }
 
