@@ -210,10 +210,13 @@ def test_what_is_shown_is_named_and_measured_as_the_run_that_it_is_of(visit: Vis
 @in_browser
 def test_a_run_that_takes_long_is_announced_and_what_is_shown_meanwhile_is_pale(visit: Visit) -> None:
     page = visit.page
+    below = "document.querySelector('.words').getBoundingClientRect().height"
+    place = page.evaluate(below)
     page.evaluate("explorer.go('#unequal-depth-60s&simulation.duration=600')")
     page.wait_for_function("document.body.classList.contains('stale')")
     page.wait_for_function("document.getElementById('share').value > 0")
     assert page.locator("#busy").is_visible()
+    assert page.evaluate(below) == place, "views stay where the pointer has them"
     assert page.evaluate("explorer.shown") == "#paper"
     page.evaluate("explorer.go('#paper&uncertainty.gravity=0.01')")
     page.wait_for_function("explorer.shown.includes('gravity')")
