@@ -76,7 +76,7 @@ export class Chart {
     this.count = data.length - 1;
     const { name } = FIGURES[this.figure];
     const colour = colours();
-    const axis = { stroke: colour.faint, grid: { stroke: colour.line, width: 1 }, ticks: { show: false }, font: "11px system-ui, sans-serif", size: 26, values: (_, splits) => splits.map((value) => (value === null ? "" : axisNumber(value))) };
+    const axis = { stroke: colour.faint, grid: { stroke: colour.line, width: 1 }, ticks: { show: false }, font: "11px system-ui, sans-serif", size: 26, labelSize: 14, labelFont: "11px system-ui, sans-serif", values: (_, splits) => splits.map((value) => (value === null ? "" : axisNumber(value))) };
     const series = data.slice(1).map((_, i) => ({ label: name(null, i), stroke: lineColour(i), dash: isDashed(i) ? [6, 4] : undefined, width: 1.4, points: { show: false } }));
     this.plot = new uPlot(
       {
@@ -85,7 +85,10 @@ export class Chart {
         cursor: { drag: { x: false, y: false }, points: { show: false }, sync: { key: "time" } },
         legend: { show: false },
         scales: { x: { time: false, range: () => [0, this.result.shown] } },
-        axes: [{ ...axis, space: 60 }, { ...axis, size: 46, space: 28, label: readable(this.unit)[0], labelSize: 14, labelFont: "11px system-ui, sans-serif" }],
+        axes: [
+          { ...axis, space: 60, label: "time [s]" },
+          { ...axis, size: 46, space: 28, label: readable(this.unit)[0] },
+        ],
         series: [{}, ...series],
         hooks: {
           draw: [(plot) => this.line(plot)],

@@ -23,11 +23,14 @@ const NAMED = { "controller.switching.kind": "switching", "actuators.kind": "dri
 function slider(state, key, { label, from = 0, to = Infinity, min, max, step = 0, log = false, percent = false, mark = "" }) {
   const spec = keyOf[key];
   const unit = spec.unit.includes(";") ? spec.unit.split(";")[from >= 3 ? 1 : 0].trim() : spec.unit;
-  const entries = (value) => (Array.isArray(value) ? value.slice(from, to) : [value ?? 0]);
-  const before = entries(presetValue(state.preset, key));
+  const presets = presetValue(state.preset, key);
+  const isPart = Number.isFinite(to) && Array.isArray(presets);
+  const whole = (value) => (isPart && value?.length === 1 ? presets.map(() => value[0]) : value); // one number stands for all entries
+  const entries = (value) => (Array.isArray(value) ? whole(value).slice(from, to) : [value ?? 0]);
+  const before = entries(presets);
   const current = entries(valueOf(state, key));
   const put = (now, numbers) => {
-    const old = valueOf(now, key);
+    const old = whole(valueOf(now, key));
     return changed(now, key, Array.isArray(old) ? old.map((x, i) => numbers[i - from] ?? x) : numbers[0]);
   };
   const isMixed = [before, current].some((numbers) => numbers.some((x) => x !== numbers[0]));

@@ -22,7 +22,9 @@ async function worker(answer) {
   return made;
 }
 
-/** Runs one scenario at a time; while one runs, only the newest request waits. */
+const PATIENCE = 200; // milliseconds that a run may take before a newer request replaces it
+
+/** Runs one scenario at a time; while one runs, only the newest request waits, and that no longer than `PATIENCE`. */
 export class Runner {
   /** @param {(answer: {result?: object, refusal?: string, progress?: number}, tag: unknown) => void} answer */
   static async make(answer) {
@@ -34,14 +36,15 @@ export class Runner {
     runner.worker = await worker((message) => {
       if (message.id !== runner.id) return;
       if (message.progress !== undefined) {
-        runner.slow = true;
+        runner.slow = performance.now() - runner.began > PATIENCE;
         answer(message);
-        if (runner.waiting) runner.start(...runner.waiting);
+        if (runner.slow && runner.waiting) runner.start(...runner.waiting);
         return;
       }
       runner.busy = false;
-      answer(message, runner.tag);
-      if (runner.waiting) runner.start(...runner.waiting);
+      const { tag } = runner;
+      if (runner.waiting) runner.start(...runner.waiting); // first, so that it runs while the answer is drawn, or cannot be
+      answer(message, tag);
     });
     return runner;
   }
@@ -57,6 +60,7 @@ export class Runner {
     this.waiting = null;
     this.busy = true;
     this.slow = false;
+    this.began = performance.now();
     this.id += 1;
     this.worker.postMessage({ id: this.id, scenario, spare: this.spare }, Object.values(this.spare).map(({ buffer }) => buffer));
     this.spare = {};

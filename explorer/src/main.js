@@ -6,13 +6,14 @@ import { short, withUnit } from "./format.js";
 import { ImageView } from "./image.js";
 import { middles, passedLimits, unitOfMetric } from "./limits.js";
 import { ParameterMap } from "./map.js";
-import { changed, drawn, full, laws, metrics, presetOf, presets, readAddress, start, toAddress, toYaml, valueOf } from "./model.js";
+import { MOST_EVERY, changed, drawn, full, laws, metrics, presetOf, presets, readAddress, start, textOf, toAddress, toYaml, valueOf, version } from "./model.js";
 import { endsAt, targetAt } from "./machine.js";
 import { MachineView } from "./scene.js";
 import { write } from "./view.js";
 
 const $ = (id) => document.getElementById(id);
 const SETTLE = 300; // milliseconds of rest after which the address follows
+const LONG = 200; // milliseconds after which a run that is not there yet is one that is waited for
 
 let { state, ignored } = readAddress(location.hash || start);
 let result = null;
@@ -20,6 +21,7 @@ let reference = null;
 let share = 1; // of the run's time that is shown
 let playing = 0;
 let addressTimer = 0;
+let waitTimer = 0;
 const latencies = []; // from a change to its picture [ms], for the test that measures them
 
 // --- from a change to a picture
@@ -40,7 +42,20 @@ function change(how, final = true) {
   if (other) compare();
   refresh();
   clearTimeout(addressTimer);
-  addressTimer = setTimeout(() => history.replaceState(null, "", toAddress(state)), final ? 0 : SETTLE);
+  addressTimer = setTimeout(() => writeAddress(final), final && performance.now() - written > SETTLE ? 0 : SETTLE);
+}
+
+let goesOn = false; // the change of the newest entry of the history
+let written = -Infinity; // [ms]
+
+/** One entry of the history for each change, however long it is dragged: Back undoes it. */
+function writeAddress(final) {
+  clearTimeout(addressTimer);
+  const address = toAddress(state);
+  const isNew = address !== location.hash;
+  if (isNew) history[goesOn ? "replaceState" : "pushState"](null, "", address);
+  goesOn = !final && (goesOn || isNew);
+  written = performance.now();
 }
 
 /** Shows what an address says. */
@@ -50,7 +65,24 @@ function goTo(address) {
   ignored = left;
 }
 
-const run = () => runner?.run(drawn(state), { asked: performance.now(), state });
+function run() {
+  if (!runner) return;
+  waitTimer ||= setTimeout(wait, LONG);
+  runner.run(drawn(state), { asked: performance.now(), state });
+}
+
+/** What is shown is of an older state, for longer than one notices. */
+function wait() {
+  $("busy").hidden = false;
+  document.body.classList.add("stale");
+}
+
+function waitNoLonger() {
+  clearTimeout(waitTimer);
+  waitTimer = 0;
+  $("busy").hidden = true;
+  $("share").removeAttribute("value");
+}
 
 function refresh() {
   $("preset").value = state.preset;
@@ -66,11 +98,11 @@ function refresh() {
 
 function answer(message, tag) {
   if (message.progress !== undefined) {
-    $("busy").hidden = false;
-    $("busy").value = message.progress;
+    $("share").value = message.progress;
     return;
   }
-  $("busy").hidden = true;
+  waitNoLonger();
+  if (tag.state !== state) waitTimer = setTimeout(wait, LONG); // for the one that was asked for since
   if (message.refusal) {
     document.body.classList.add("stale");
     say(message.known ? message.refusal : `The core failed: ${message.refusal}`, ...ignored);
@@ -82,7 +114,7 @@ function answer(message, tag) {
   document.body.classList.remove("stale");
   say(...ignored);
   const before = result;
-  result = message.result;
+  result = { ...message.result, state: tag.state };
   show();
   if (before) runner.reuse(before);
   queueMicrotask(() => latencies.push(performance.now() - tag.asked)); // after the charts, which draw in microtasks
@@ -95,17 +127,19 @@ function say(...sentences) {
   $("message").hidden = !words;
 }
 
+/** Draws the result, with what the state that it is of says: the page's state may be one that is computed, or was refused. */
 function show() {
-  const gravity = [valueOf(state, "robot.gravity")].flat();
+  const { state: of } = result;
+  const gravity = [valueOf(of, "robot.gravity")].flat();
   const down = gravity.length === 3 && gravity.some((g) => g !== 0) ? gravity : [0, 0, 1];
-  const mass = valueOf(state, "robot.mass") + (valueOf(state, "robot.payload.known") ? valueOf(state, "robot.payload.mass") : 0);
+  const mass = valueOf(of, "robot.mass") + (valueOf(of, "robot.payload.known") ? valueOf(of, "robot.payload.mass") : 0);
   result.weight = gravity.map((g) => -mass * g);
   result.shown = shown();
-  result.cranks = cranks();
-  result.stroke = valueOf(state, "robot.stroke");
-  result.middle = middles(state, result);
-  result.targetMoves = valueOf(state, "target.motion.kind") !== "none";
-  image.show({ ...result, goals: result.scene.goal, movable: pixelsAreFeatures() });
+  result.cranks = cranks(of);
+  result.stroke = valueOf(of, "robot.stroke");
+  result.middle = middles(of, result);
+  result.targetMoves = valueOf(of, "target.motion.kind") !== "none";
+  image.show({ ...result, goals: result.scene.goal, movable: pixelsAreFeatures(of) });
   scene.show(result, down.map((g) => -g));
   for (const chart of charts) chart.show(result);
   at(share);
@@ -114,15 +148,15 @@ function show() {
 }
 
 /** Cranks of rotary legs: length [m], axes and directions at angle 0, (6, 3) unit vectors in B each; null: prismatic legs. */
-function cranks() {
-  if (valueOf(state, "robot.legs") !== "rotary") return null;
-  const rows = (name) => [valueOf(state, `robot.cranks.${name}`)].flat(3);
-  return { length: valueOf(state, "robot.cranks.length"), axes: rows("axes"), zero: rows("zero") };
+function cranks(of) {
+  if (valueOf(of, "robot.legs") !== "rotary") return null;
+  const rows = (name) => [valueOf(of, `robot.cranks.${name}`)].flat(3);
+  return { length: valueOf(of, "robot.cranks.length"), axes: rows("axes"), zero: rows("zero") };
 }
 
 /** Whether the camera's pixels are what its pinhole would have: only then a goal can be dragged to one. */
-const pixelsAreFeatures = () =>
-  valueOf(state, "camera.principal_point") === null && ["brown_conrady", "kannala_brandt"].every((lens) => [valueOf(state, `camera.distortion.${lens}`) ?? 0].flat().every((number) => number === 0));
+const pixelsAreFeatures = (of) =>
+  valueOf(of, "camera.principal_point") === null && ["brown_conrady", "kannala_brandt"].every((lens) => [valueOf(of, `camera.distortion.${lens}`) ?? 0].flat().every((number) => number === 0));
 
 /** Time up to which charts go [s]: all of it, or three times what settling takes, on a scale of 1, 2, 5. */
 function shown() {
@@ -135,7 +169,7 @@ function shown() {
 
 /** Shows a time of the run, as a share of it. */
 function at(next) {
-  share = next;
+  share = Math.max(0, Math.min(1, next));
   const row = Math.round(share * (result.rows - 1));
   const time = result.samples.time[row];
   image.draw(row);
@@ -158,14 +192,35 @@ function ending(of, { outcome, metrics: values, time, detail, ...rest }) {
   return [beyond ? "warn" : "good", `Settles within ${band} at ${withUnit(values.settling_time, "s")}${beyond && `, but ${beyond}`}`];
 }
 
+/** The preset's run where what is shown is a run of that preset, else null. */
+const itsPreset = () => (reference?.state.preset === result.state.preset ? reference : null);
+
+const isChanged = () => Object.keys(result.state.changes).length > 0;
+
 function verdict() {
-  const [kind, words] = ending(state, result);
+  const [kind, words] = ending(result.state, result);
   $("verdict").className = `verdict ${kind}`;
   write($("verdict"), words);
-  const counts = reference && Object.keys(state.changes).length;
-  const before = counts ? ending({ preset: state.preset, changes: {} }, { ...reference, detail: "" })[1] : "";
+  const preset = itsPreset();
+  const before = preset && isChanged() ? ending(preset.state, { ...preset, detail: "" })[1] : "";
   write($("against"), before && `Preset: ${before.replace(/^./, (letter) => letter.toLowerCase())}`);
   image.canvas.setAttribute("aria-label", `Image plane: paths of ${result.points} features to their goals. ${words}. Arrow keys move a goal, digits choose it.`);
+  write($("origin"), origin(result.state));
+}
+
+/** What a printed page is of. */
+function origin(of) {
+  const changes = Object.entries(of.changes).map(([key, value]) => `${key} = ${textOf(value)}`);
+  const law = valueOf(of, "controller.law").replaceAll("_", " ");
+  const address = location.href.split("#")[0] + toAddress(of);
+  return [`Scenario ${of.preset}`, `law ${law}`, changes.length ? `changed: ${changes.join(", ")}` : "nothing changed", `hexservo ${version}`, address].join("; ");
+}
+
+/** Why the metrics of two runs are of different spans of time, which makes them no better or worse; "" where they are of one. */
+function incomparable(one, other) {
+  if (one.outcome !== other.outcome) return `outcome ${one.outcome} against ${other.outcome}`.replaceAll("_", " ");
+  const alike = Math.abs(one.time - other.time) <= 0.001 * other.time; // ends are whole steps
+  return alike ? "" : `${withUnit(one.time, "s")} against ${withUnit(other.time, "s")}`;
 }
 
 let rows = null;
@@ -175,21 +230,26 @@ function table() {
     $("metrics").append(element("tr", { title: meaning }, element("th", { scope: "row" }, name.replaceAll("_", " ")), ...cells));
     return { name, unit, cells };
   });
-  const differs = Object.keys(state.changes).length > 0 && reference;
+  const preset = itsPreset();
+  const reason = preset ? incomparable(result, preset) : "";
+  const differs = preset && isChanged() && !reason;
+  write($("of-preset"), reason ? `preset, not comparable: ${reason}` : "preset");
   for (const { name, unit: known, cells } of rows) {
-    const unit = unitOfMetric(state, { name, unit: known });
-    const [value, before] = [result.metrics[name], reference?.metrics[name] ?? NaN];
+    const unit = unitOfMetric(result.state, { name, unit: known });
+    const [value, before] = [result.metrics[name], preset?.metrics[name] ?? NaN];
     cells[0].parentElement.hidden = Number.isNaN(value) && Number.isNaN(before) && name !== "settling_time";
     write(cells[0], withUnit(value, unit));
-    write(cells[1], reference ? withUnit(before, unit) : "");
+    write(cells[1], preset ? withUnit(before, unit) : "");
     const ratio = value / before;
-    cells[0].className = !differs || Math.abs(ratio - 1) < 0.01 ? "" : ratio < 1 || (Number.isNaN(before) && !Number.isNaN(value)) ? "good" : ratio > 1 || Number.isNaN(value) ? "bad" : "";
+    const alike = Math.abs(ratio - 1) < 0.01 || (Number.isNaN(value) && Number.isNaN(before));
+    cells[0].className = !differs || alike ? "" : ratio < 1 || (Number.isNaN(before) && !Number.isNaN(value)) ? "good" : ratio > 1 || Number.isNaN(value) ? "bad" : "";
   }
 }
 
 function compare() {
   reference = null;
-  referee?.run({ ...drawn({ preset: state.preset, changes: {} }), "simulation.log_every": 1e9 });
+  const preset = { preset: state.preset, changes: {} };
+  referee?.run({ ...full(preset), "simulation.log_every": MOST_EVERY }, preset);
 }
 
 // --- time
@@ -202,10 +262,10 @@ function play() {
   $("play").setAttribute("aria-label", running ? "Play" : "Pause");
   if (running || !result) return;
   if (share >= 1) share = 0;
-  let before = performance.now();
+  let before = null; // until the first frame: the time of a frame may be before the click
   const step = (now) => {
     const duration = result.samples.time[result.rows - 1] || 1;
-    at(Math.min(1, share + (Number($("speed").value) * (now - before)) / 1000 / duration));
+    at(share + (Number($("speed").value) * (now - (before ?? now))) / 1000 / duration);
     before = now;
     if (share >= 1) play();
     else if ($("play").dataset.on === "yes") playing = requestAnimationFrame(step);
@@ -213,7 +273,7 @@ function play() {
   playing = requestAnimationFrame(step);
 }
 
-const pick = (time) => result && at(Math.max(0, Math.min(1, time / (result.samples.time[result.rows - 1] || 1))));
+const pick = (time) => result && at(time / (result.samples.time[result.rows - 1] || 1));
 
 // --- parts
 
@@ -225,7 +285,7 @@ const scene = new MachineView($("scene"), (shift, phase) => {
     at(0);
   } else if (phase === "move") {
     change((now) => changed(now, "simulation.start.pose", held.map((x, i) => (i < 3 ? Math.round(1e5 * (x + shift[i])) / 1e5 : x))), false);
-  } else history.replaceState(null, "", toAddress(state));
+  } else writeAddress(true);
 });
 const charts = ["errors", "forces", "moments"].map((figure, i) => {
   const chart = new Chart($(`chart-${i}`), figure, pick);
@@ -256,7 +316,10 @@ $("map-section").addEventListener("toggle", () => {
   if ($("map-section").open) map.show(state);
 });
 addEventListener("hashchange", () => {
-  if (toAddress(state) !== location.hash) goTo(location.hash);
+  if (toAddress(state) === location.hash) return;
+  goTo(location.hash || start);
+  clearTimeout(addressTimer); // the history has it
+  goesOn = false;
 });
 addEventListener("resize", () => result && at(share));
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => result && requestAnimationFrame(() => (show(), refresh())));
@@ -285,7 +348,7 @@ $("as-yaml").addEventListener("click", () => {
 });
 $("copy").addEventListener("click", () => copied($("yaml").value, $("copy")));
 $("link").addEventListener("click", () => {
-  history.replaceState(null, "", toAddress(state));
+  writeAddress(true);
   copied(location.href, $("link"));
 });
 
@@ -320,9 +383,9 @@ refresh();
 try {
   [runner, referee] = await Promise.all([
     Runner.make(answer),
-    Runner.make((message) => {
+    Runner.make((message, preset) => {
       if (!message.result) return;
-      reference = message.result;
+      reference = { ...message.result, state: preset };
       if (result) {
         verdict();
         table();

@@ -187,9 +187,13 @@ export function toYaml(state) {
 /** Samples that are drawn, at most. */
 export const MOST_ROWS = 800;
 
+/** Steps between two samples, at most: no sample but the first and the last is drawn. */
+export const MOST_EVERY = 1e9;
+
 /** The scenario of a run whose samples are drawn. */
 export function drawn(state) {
   const scenario = full(state);
   const steps = scenario["simulation.duration"] / scenario["simulation.step"];
-  return { ...scenario, [LOGGING]: Math.max(1, Math.ceil(steps / MOST_ROWS)) };
+  const every = Math.ceil(steps / MOST_ROWS) || 1; // of a quotient that is no number the core refuses a key of it
+  return { ...scenario, [LOGGING]: Math.max(1, Math.min(MOST_EVERY, every)) };
 }

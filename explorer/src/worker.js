@@ -6,8 +6,11 @@
  */
 import { Core, Refusal } from "./core.js";
 
-const STEPS = 20000; // between two looks at what else is asked for: some tens of milliseconds
 const PIECE = 40; // milliseconds between two answers of a map
+const BREATH = 30; // milliseconds of a run between two looks at what else is asked for
+const FIRST_STEPS = 20; // of a run, by which the time of a step is measured
+const GROWTH = 10; // from one advance to the next, at most: the clock is coarse
+const CLOCK = 0.1; // milliseconds
 
 let core = null;
 let newest = 0;
@@ -25,11 +28,18 @@ async function run(id, scenario, spare) {
   core.begin();
   const steps = scenario["simulation.duration"] / scenario["simulation.step"];
   let taken = 0;
-  while (core.advance(STEPS)) {
-    taken += STEPS;
+  let count = FIRST_STEPS;
+  let [since, before] = [performance.now(), performance.now()];
+  while (core.advance(count)) {
+    taken += count;
+    const now = performance.now();
+    count = Math.max(1, Math.floor(count * Math.min(GROWTH, BREATH / Math.max(CLOCK, now - before))));
+    before = now;
+    if (now - since < 0.9 * BREATH) continue;
     postMessage({ id, progress: taken / steps });
     await breath();
     if (newest !== id) return;
+    since = before = performance.now();
   }
   const result = core.result(spare);
   core.end();

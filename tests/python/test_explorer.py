@@ -186,6 +186,98 @@ def test_a_long_run_leaves_the_page_alive(visit: Visit) -> None:
     assert visit.end()["metrics"]["settling_time"] == pytest.approx(0.353)
 
 
+@in_browser
+def test_what_is_shown_is_named_and_measured_as_the_run_that_it_is_of(visit: Visit) -> None:
+    """After a refusal the last good run stays, pale, with its own band, units and preset, redrawn or not."""
+    page = visit.page
+    visit.go("#paper")
+    words = page.locator("#verdict").inner_text()
+    numbers = page.evaluate("[...document.querySelectorAll('#metrics tr')].map(row => row.cells[1].textContent)")
+    assert visit.go("#reachy-mini&metrics.dwell=-1&metrics.band=-3")["refusal"].startswith("metrics.")
+    page.wait_for_function("explorer.reference")
+    page.select_option("#span", "all")
+    page.emulate_media(media="print")
+    assert page.locator("#verdict").inner_text() == words
+    found = page.evaluate(
+        "[...document.querySelectorAll('#metrics tr')].map(row => [...row.cells].map(c => c.textContent))"
+    )
+    assert [cells[1] for cells in found] == numbers
+    assert {cells[2] for cells in found} == {""}
+    for name in ("#verdict", ".views", ".charts"):
+        assert page.locator(name).evaluate("part => getComputedStyle(part).opacity") == "0.4", name
+
+
+@in_browser
+def test_a_run_that_takes_long_is_announced_and_what_is_shown_meanwhile_is_pale(visit: Visit) -> None:
+    page = visit.page
+    below = "document.querySelector('.words').getBoundingClientRect().height"
+    place = page.evaluate(below)
+    page.evaluate("explorer.go('#unequal-depth-60s&simulation.duration=600')")
+    page.wait_for_function("document.body.classList.contains('stale')")
+    page.wait_for_function("document.getElementById('share').value > 0")
+    assert page.locator("#busy").is_visible()
+    assert page.evaluate(below) == place, "views stay where the pointer has them"
+    assert page.evaluate("explorer.shown") == "#paper"
+    page.evaluate("explorer.go('#paper&uncertainty.gravity=0.01')")
+    page.wait_for_function("explorer.shown.includes('gravity')")
+    assert page.locator("#busy").is_hidden()
+    assert page.evaluate("document.body.className") == ""
+
+
+@in_browser
+def test_a_request_that_waits_starts_whatever_became_of_the_one_before(visit: Visit) -> None:
+    visit.go("#reachy-mini-head")
+    visit.page.evaluate(
+        """() => {
+          explorer.shown = null;
+          explorer.set('uncertainty.depth', [.1, .1, .1, .1]);
+          explorer.set('robot.cranks.axes', [1, 2, 3, 4]);
+        }"""
+    )
+    visit.page.wait_for_function("explorer.refusal !== null")
+    assert visit.end()["refusal"] == "robot.cranks.axes: expected 18 numbers, got 4"
+
+
+@in_browser
+def test_play_begins_where_the_first_frame_is_before_the_click(visit: Visit) -> None:
+    """The time of a frame is that of its begin, which a click may be later than."""
+    page = visit.page
+    page.evaluate("() => { const clock = performance.now.bind(performance); performance.now = () => clock() + 1000 }")
+    page.click("#play")
+    page.wait_for_function("parseFloat(document.getElementById('now').textContent) > 0.05")
+    page.click("#play")
+    assert page.evaluate("document.getElementById('now').textContent") != "5.000 s"
+
+
+@in_browser
+def test_the_page_is_answered_within_a_run_of_slow_steps(visit: Visit) -> None:
+    """2000 substeps make a control step take milliseconds: looks at what is asked for are of time, not of steps."""
+    page = visit.page
+    page.evaluate("explorer.go('#composite-30hz&simulation.substeps=2000&simulation.duration=50')")
+    page.wait_for_function("document.getElementById('share').value > 0")
+    assert page.evaluate("document.getElementById('share').value") < 0.1
+    visit.go("#paper")
+    assert visit.end()["metrics"]["settling_time"] == pytest.approx(0.353)
+
+
+@in_browser
+def test_metrics_of_another_span_of_time_are_not_called_better(visit: Visit) -> None:
+    page = visit.page
+    coloured = "document.querySelectorAll('#metrics td:is(.good, .bad)').length"
+    heading = page.locator("#of-preset")
+    visit.go("#composite-30hz&uncertainty.gravity=0.05")
+    page.wait_for_function("explorer.reference")
+    assert page.evaluate(coloured) > 0
+    assert heading.inner_text() == "preset"
+    assert visit.go("#composite-30hz&robot.stroke=0.004&robot.on_limit=stop")["outcome"] == "leg_limit"
+    assert page.evaluate(coloured) == 0
+    assert heading.inner_text() == "preset, not comparable: outcome leg limit against completed"
+    visit.go("#paper&simulation.duration=2")
+    page.wait_for_function("explorer.reference")
+    assert page.evaluate(coloured) == 0
+    assert heading.inner_text() == "preset, not comparable: 2 s against 5 s"
+
+
 # --- scenarios in and out
 
 
@@ -623,6 +715,30 @@ def test_changes_are_in_the_address_and_in_the_yaml(visit: Visit, browser: Brows
     assert visit.end()["metrics"] == pytest.approx(before["metrics"], rel=0, abs=0, nan_ok=True)
 
 
+@in_browser
+def test_back_undoes_a_change(visit: Visit) -> None:
+    """A drag is one entry of the history, however many values it goes through."""
+    page = visit.page
+    page.evaluate(
+        """async () => {
+          const slider = document.querySelector('[data-id="uncertainty.depth"]');
+          const move = (value, kind) => { slider.value = value; slider.dispatchEvent(new Event(kind)); };
+          const rest = () => new Promise(done => setTimeout(done, 400));
+          move(600, 'input'); await rest(); move(650, 'input'); await rest(); move(700, 'change'); await rest();
+        }"""
+    )
+    dragged = page.evaluate("location.hash")
+    assert dragged == "#paper&uncertainty.depth=" + "%2C".join(["0.36"] * 4)
+    page.select_option("#preset", "task-tilt")
+    page.wait_for_function("location.hash === '#task-tilt'")
+    for address in (dragged, "#paper"):
+        page.go_back()
+        page.wait_for_function("address => explorer.shown === address", arg=address)
+    page.go_forward()
+    page.wait_for_function("address => explorer.shown === address", arg=dragged)
+    assert page.locator('[data-id="uncertainty.depth"]').input_value().startswith("699.99")
+
+
 def press(page: Page, slider: str, key: str) -> None:
     """Move a slider by a key, and wait for the run."""
     page.evaluate("explorer.shown = null")
@@ -681,6 +797,19 @@ def test_a_slider_of_different_gains_multiplies_them_all(visit: Visit) -> None:
         for kind in kinds:
             halves = [""] if kind == "kp" and law != "pbvs" else ["/linear", "/angular"]
             assert {f"controller.{law}.{kind}{half}" for half in halves} <= keys, (address, kind)
+
+
+@in_browser
+def test_one_number_for_six_gains_is_that_of_both_sliders(visit: Visit) -> None:
+    page = visit.page
+    visit.go("#paper&controller.hybrid.kv=0.003")
+    halves = [told(page, f"controller.hybrid.kv/{half}") for half in ("linear", "angular")]
+    assert halves == [("kv, force", "0.003 N"), ("kv, moment", "0.003 N m")]
+    press(page, "controller.hybrid.kv/angular", "ArrowLeft")
+    moved = page.evaluate("explorer.state.changes['controller.hybrid.kv']")
+    assert moved[:3] == [0.003] * 3
+    assert moved[3] == moved[4] == moved[5] < 0.003
+    assert visit.end()["refusal"] is None
 
 
 @in_browser
@@ -743,6 +872,16 @@ def test_what_the_core_refuses_is_shown_in_its_words(visit: Visit) -> None:
     assert visit.page.locator("#message").inner_text() == end["refusal"]
     assert visit.go("#paper")["refusal"] is None
     assert visit.page.locator("#message").is_hidden()
+
+
+@in_browser
+@pytest.mark.parametrize("change", ["step=0", "step=1e-30", "duration=Infinity", "duration=1e15"])
+def test_a_refusal_names_the_key_that_was_changed(visit: Visit, change: str) -> None:
+    """What the page adds for itself, how often a run is sampled, is right whatever the step and the duration are."""
+    refusal = visit.go(f"#paper&simulation.{change}")["refusal"]
+    assert refusal.startswith(
+        "simulation.duration" if change == "step=1e-30" else f"simulation.{change.partition('=')[0]}: "
+    )
 
 
 @in_browser
@@ -1000,7 +1139,13 @@ def test_lines_of_one_colour_differ_in_their_dash(visit: Visit) -> None:
 @in_browser
 def test_on_paper_there_are_pictures_and_numbers_and_no_controls(visit: Visit) -> None:
     page = visit.page
+    visit.go("#paper&uncertainty.gravity=0.01")
+    assert page.locator("#origin").is_hidden()
     page.emulate_media(media="print")
+    address = page.evaluate("location.href.split('#')[0]") + "#paper&uncertainty.gravity=0.01"
+    assert page.locator("#origin").inner_text() == (
+        f"Scenario paper; law hybrid; changed: uncertainty.gravity = 0.01; hexservo {hs.__version__}; {address}"
+    )
     for name in ("#image", "#scene", "#chart-0", "#metrics", "#verdict"):
         assert page.locator(name).is_visible(), name
     for name in ("#controls", ".buttons", ".timeline", "#map-section"):
