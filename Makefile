@@ -32,7 +32,7 @@ help:
 	make docs     build the site, build/site/index.html: tutorials, guides, reference, gallery (make docs-links: links to the network)
 	make wheel    build dist/: the sources' archive and a wheel that needs no compiler (PYTHONS='python3.11 python3.13': one for each)
 	make wheel-test  the same in two folders with equal bytes, and tried in new Debian systems without a compiler (as root)
-	make test-all  the same, the site, the wheel, and the explorer's tests (make explorer-test), slow statistics, sanitizers (make asan, make tsan) and a minute of make fuzz
+	make test-all  the same, the site, the wheel, and the explorer's tests (make explorer-test), slow tests, sanitizers (make asan, make tsan) and a minute of make fuzz
 	make bench    measure this machine: servo tick, runs, batches, the core's parts; written to out/bench and BENCHMARKS.md
 	make bench-step  what a step costs by part: instructions, loads, stores, time; written to BENCHMARKS.md (needs valgrind)
 	make bench-ratios  packs to a bare loop, sampled to continuous mode, pbvs to composite: ratios in one run; written to BENCHMARKS.md
