@@ -681,9 +681,6 @@ SceneParameters<double, N> scene_parameters(const Settings& settings, const Hexa
   p.mode = settings.simulation.mode;
   p.substeps = settings.simulation.substeps;
   p.limits_every = settings.robot.limits_every;
-  if (const long long steps = step_count(settings.simulation); p.limits_every > steps)
-    refuse("robot.limits_every", words("at most the ", steps, " steps of the run, or nothing is seen after its start"),
-           words(p.limits_every));
   if (p.mode == LoopMode::sampled)
     prepare_devices(settings, p);
   else if (is_implicit(p.switching.kind))

@@ -364,7 +364,9 @@ def test_keys_that_are_not_of_the_image_do_not_count(tmp_path: Path) -> None:
         "P: [500, 0, 320, 0, 0, 500, 240, 0, 0, 0, 1, 0]\nbinning_x: 0\nbinning_y: 1\n"
         "roi: {x_offset: 0, y_offset: 0, height: 960, width: 0, do_rectify: false}\n"
         "lens: a lens\nsquare_size: 0.025\nper_view_reprojection_errors: [0.1, 0.2]\nextrinsic_parameters: [[0, 0]]\n"
-        "dist_coeffs_std_dev: [0.1, 0.1, 0.1, 0.1, 0.1]\nfisheye_model: 0\n"
+        "dist_coeffs_std_dev: [0.1, 0.1, 0.1, 0.1, 0.1]\nstdDeviationsIntrinsics: [0.1, 0.2]\nfisheye_model: 0\n"
+        "camera_model: Basler acA1920-40gm\nsensor_model: IMX219\nmodel: D435\nboard_model: charuco_5x7\n"
+        "camera_type: usb\nlens_serial: 12345\nintrinsic_flags: 0\n"
     )
     assert read_calibration(tmp_path, text) == camera_of("brown_conrady")
 
@@ -392,6 +394,8 @@ def test_a_calibration_without_a_size_has_no_border(tmp_path: Path) -> None:
         (SQUARE + "mtx: [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n", "mtx: expected the camera matrix once, got camera_matri"),
         (SQUARE + "Camera_Matrix: 3\n", "Camera_Matrix: expected the camera matrix once, got camera_matrix too"),
         (SQUARE + "binning_x: 1\nbinning_y: 2\n", "binning_y: expected 0 or 1, an image that is not binned, got 2"),
+        (SQUARE + "roi: [3, 4, 600, 400]\n", "roi.x_offset: expected 0, the whole image, got 3"),
+        (SQUARE + "newcameramtx: [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n", "camera matrix of images that were rectified"),
         (SQUARE + "roi: {x_offset: 0, y_offset: 50}\n", "roi.y_offset: expected 0, the whole image, got 50"),
         (
             SQUARE + "width: 1280\nheight: 960\nroi: {height: 200, width: 1280}\n",

@@ -325,8 +325,7 @@ def test_the_delay_margin_is_that_of_the_analysis() -> None:
     assert math.isnan(delay_margin(scenario.updated({"controller.law": "hybrid"})))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("latency", [0.0, 0.1, 0.3, 0.5])
+@pytest.mark.parametrize("latency", [pytest.param(each, marks=pytest.mark.slow) for each in (0.0, 0.3, 0.5)] + [0.1])
 def test_the_decay_rate_is_that_of_the_characteristic_equation(latency: float) -> None:
     """Computed torque without model errors: each axis is s^2 + k_d s exp(-s hold) + k_p exp(-s delay) = 0, whose
     rightmost root is found by Newton's method. A wrench is held for half a tick on average, and a frame for half a
@@ -355,7 +354,6 @@ def test_the_decay_rate_is_that_of_the_characteristic_equation(latency: float) -
     assert math.isnan(decay_rate(scenario.updated({"controller.law": "hybrid"})))
 
 
-@pytest.mark.slow
 def test_a_required_delay_margin_holds(tmp_path: Path) -> None:
     """Without the requirement the search ends at gains whose margin is smaller by 20 ms."""
     scenario = hs.load_scenario("noisy-camera").updated(

@@ -336,16 +336,19 @@ def test_a_focal_length_that_is_not_in_pixels() -> None:
 
 
 def test_a_start_within_the_settling_band(paper: hs.Scenario) -> None:
-    """Whatever the law does, such a run is settled; where something moves, staying there is a result."""
+    """Such a run passes without a motion; where something moves or the weight is wrong, staying is a result."""
     goal = paper.to_mapping()["target"]["desired_features"]
     near = paper.updated({"target.initial_features": [feature + 0.09 for feature in goal]})
-    assert "(0.09 px), so that a run counts as settled" in only(near, "metrics.band: the start is within 2 px")
+    sentence = only(near, "metrics.band: the start is within 2 px")
+    assert "(0.09 px), so that a run that stays there counts as settled" in sentence
     diagnosis = hs.diagnose(hs.simulate(near.updated({"simulation.duration": 0.5})))
     assert diagnosis.failed is False
     assert diagnosis.section().verdict == "warning"
     assert "0.09 px of 2 px from the goal, and so passes without a motion" in diagnosis.section().sentences[0]
     for change in (
         {"metrics.band": 0.08},
+        {"uncertainty.gravity": 0.075},
+        {"robot.payload": {"mass": 0.01, "known": False}},
         {"simulation.mode": "sampled", "base_motion.kind": "sinusoid", "base_motion.amplitude": [0.1] * 3},
     ):
         assert not any(line.startswith("metrics.band") for line in unlikely(near.updated(change)))
@@ -356,6 +359,32 @@ def test_a_load_that_the_controller_does_not_know(paper: hs.Scenario) -> None:
         load = {"mass": mass * paper.robot.mass, "known": known}
         found = [line for line in unlikely(paper.updated({"robot.payload": load})) if line.startswith("robot.payload")]
         assert bool(found) is large
+
+
+def test_legs_that_follow_whatever_it_takes_feel_no_load() -> None:
+    load = {"robot.payload": {"mass": 5.0, "known": False}}
+    positions = hs.load_scenario("pi-h824-positions")
+    assert not [line for line in unlikely(positions.updated(load)) if line.startswith("robot.payload")]
+    (sentence,) = [line for line in unlikely(hs.load_scenario("pi-h824").updated(load)) if "payload" in line]
+    assert "a load of 5 kg" in sentence
+    weightless = hs.load_scenario("paper").updated(
+        {"robot.gravity": [0.0, 0.0, 0.0], "robot.payload": load["robot.payload"]}
+    )
+    assert not [line for line in unlikely(weightless) if line.startswith("robot.payload")]
+
+
+def test_limits_that_are_looked_at_once(paper: hs.Scenario) -> None:
+    """It is legal, since controllers and analyses of the same scenario have shorter runs."""
+    once = paper.updated({"robot.limits_every": 5001})
+    assert "is more than the 5000 steps of the run" in only(once, "robot.limits_every")
+    assert not unlikely(paper.updated({"robot.limits_every": 5000}))
+    assert hs.Controller(once).period == paper.simulation.step
+
+
+@pytest.mark.parametrize(("name", "depth"), [("noisy-camera", 1e-300), ("paper", 1e300)])
+def test_a_check_that_overflows_has_a_sentence(name: str, depth: float) -> None:
+    found = unlikely(hs.load_scenario(name).updated({"target.depth": depth}))
+    assert any("a check cannot be evaluated, since numbers overflow" in line for line in found)
 
 
 # A tilt of 0.035 rad before a target 3 m away, which a shift of 0.1 m shows nearly as well.

@@ -311,13 +311,13 @@ def test_a_controller_does_not_know_the_motors(paper: hs.Scenario) -> None:
 @pytest.mark.parametrize(
     ("cause", "motor"),
     [
-        pytest.param("motors", {"kp": 20.0, "kv": 0.02}, marks=pytest.mark.slow),
+        ("motors", {"kp": 20.0, "kv": 0.02}),
         pytest.param("motors", {"kp": 20.0, "kv": 1.0, "friction": 0.001}, marks=pytest.mark.slow),
-        pytest.param("stick_slip", {**STIFF, "friction": 15.0}, marks=pytest.mark.slow),
+        ("stick_slip", {**STIFF, "friction": 15.0}),
     ],
 )
 def test_motors_that_fail_are_diagnosed(cause: str, motor: dict[str, float]) -> None:
-    scenario = on_motors(hs.load_scenario("composite-30hz"), motor, simulation__substeps=4)
+    scenario = on_motors(hs.load_scenario("composite-30hz"), motor, simulation__substeps=4, simulation__duration=1.5)
     found = hs.diagnose(hs.simulate(scenario))
     assert found.failed
     assert [finding.cause for finding in found.causes][:1] == [cause]

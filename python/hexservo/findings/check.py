@@ -6,6 +6,7 @@ import contextlib
 import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from hexservo.findings.check_motion import of_motion
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.blocks import Robot, preset_values
-from hexservo.scenario.fitted import auto_of, chosen_keys, fitted_keys
+from hexservo.scenario.fitted import auto_of, chosen_keys, fitted_keys, idle_gains
 from hexservo.scenario.keys import default_of, keys_below, value_at
 from hexservo.scenario.laws import ALL_LAWS, LAWS, Controller, laws_with
 from hexservo.scenario.motion import Road, moves
@@ -35,6 +36,8 @@ _FEWEST = 3  # points that a law can regulate
 _OFF_CENTRE = 0.15  # of the image, most that the principal point of a usual lens is off its centre
 _TICKS = 10  # servo periods per shortest time constant of the loop for which the hold has little effect
 
+_T = TypeVar("_T")
+
 
 def unlikely(scenario: Scenario) -> list[str]:
     """Return a sentence for each legal but probably unintended setting.
@@ -48,28 +51,37 @@ def unlikely(scenario: Scenario) -> list[str]:
     with which numbers of that loop overflow have a sentence that names it. Does not simulate.
     """
     scene = scene_of(scenario)
-    fastest, overflow = None, []
+    sentences: list[str] = []
+    for check in (_of_legs, of_machine, _of_goal, _of_points):
+        sentences += _evaluated(check, scene)
+    for of_scenario in (_of_image, _of_principal_point, _of_duration, _of_dropout, of_motion, _of_unknown_latency):
+        sentences += _evaluated(of_scenario, scenario)
+    return sentences + _evaluated(_of_rates, scene)
+
+
+def _evaluated(check: Callable[[_T], Iterator[str]], of: _T) -> list[str]:
+    """Return the sentences of a check, with one in place of those that extreme numbers of the scenario leave out."""
+    sentences: list[str] = []
+    try:
+        with np.errstate(all="ignore"):
+            sentences.extend(check(of))
+    except (ValueError, np.linalg.LinAlgError) as error:
+        sentences.append(f"scenario: a check cannot be evaluated, since numbers overflow ({error})")
+    return sentences
+
+
+def _of_rates(scene: Scene) -> Iterator[str]:
+    fastest = None
     try:
         fastest = fastest_rate(scene)
     except NotFiniteError as error:
-        law = scenario.controller.law
-        overflow = [f"controller.{law}: the gains' bandwidth cannot be evaluated, since numbers overflow ({error})"]
+        law = scene.scenario.controller.law
+        yield f"controller.{law}: the gains' bandwidth cannot be evaluated, since numbers overflow ({error})"
+        return
     except (NoRestError, NotApplicableError):  # no law can be evaluated at home
         pass
-    return [
-        *_of_legs(scene),
-        *of_machine(scene),
-        *_of_goal(scene),
-        *_of_points(scene),
-        *_of_image(scenario),
-        *_of_principal_point(scenario),
-        *_of_duration(scenario),
-        *_of_dropout(scenario),
-        *of_motion(scenario),
-        *_of_unknown_latency(scenario),
-        *_of_period(scenario, fastest),
-        *(overflow or of_gains(scene, fastest)),
-    ]
+    yield from _of_period(scene.scenario, fastest)
+    yield from of_gains(scene, fastest)
 
 
 def _of_legs(scene: Scene) -> Iterator[str]:
@@ -78,13 +90,14 @@ def _of_legs(scene: Scene) -> Iterator[str]:
     weight = share * scene.settings.plant_body.weight(scene.home.quaternion)
     forces = scene.hexapod.leg_forces(scene.home.position, scene.home.quaternion, weight)
     leg, unit = int(np.abs(forces).argmax()), scene.units.effort
-    if abs(forces[leg]) > robot.force_limit:
+    friction = scene.scenario.actuators.motor.friction
+    rubs = scene.scenario.actuators.kind == "position_torque" and friction > 0.0
+    if not rubs and abs(forces[leg]) > robot.force_limit:
         yield (
             f"robot.force_limit: {number(robot.force_limit)} {unit} is less than the {number(abs(forces[leg]))} {unit} "
             f"that leg {leg + 1} needs to carry the platform's weight at home"
         )
-    friction = scene.scenario.actuators.motor.friction
-    if scene.scenario.actuators.kind == "position_torque" and robot.force_limit <= friction + abs(forces[leg]):
+    if rubs and robot.force_limit <= friction + abs(forces[leg]):
         yield (
             f"robot.force_limit: {number(robot.force_limit)} {unit} does not move leg {leg + 1} against "
             f"actuators.motor.friction, {number(friction)} {unit}, and the {number(abs(forces[leg]))} {unit} of the "
@@ -130,8 +143,8 @@ def _of_goal(scene: Scene) -> Iterator[str]:
     if scene.settled_start is not None:
         yield (
             f"metrics.band: the start is within {quantity(scene.band, 'px')} of the goal "
-            f"({number(scene.settled_start)} px), so that a run counts as settled without a motion; a narrower band "
-            "shows whether the law gets there"
+            f"({number(scene.settled_start)} px), so that a run that stays there counts as settled without a motion; "
+            "a narrower band shows whether the law gets to the goal"
         )
 
 
@@ -197,6 +210,12 @@ def _of_duration(scenario: Scenario) -> Iterator[str]:
                 f"{key}: {quantity(time, 's')} is not shorter than simulation.duration, {quantity(duration, 's')}, so "
                 f"that {consequence}"
             )
+    steps = round(duration / scenario.simulation.step)
+    if scenario.robot.limits_every > steps:
+        yield (
+            f"robot.limits_every: {scenario.robot.limits_every} is more than the {steps} steps of the run, so that "
+            "limits and metrics of the legs are looked at where it starts and nowhere else"
+        )
 
 
 def _of_dropout(scenario: Scenario) -> Iterator[str]:
@@ -318,7 +337,7 @@ def _of_auto(law: str) -> tuple[_Condition, _Condition]:
     def fits(scenario: Scenario) -> bool:
         if scenario.controller.law != law or auto_of(scenario).bandwidth is None:
             return True
-        follow = set(fitted_keys(law)).difference(chosen_keys(scenario), scenario.idle_gains)
+        follow = set(fitted_keys(law)).difference(chosen_keys(scenario), idle_gains(scenario))
         return bool(follow if _adapts(scenario, law) else follow.difference(_ADAPTIVE))
 
     def has_bandwidth(scenario: Scenario) -> bool:

@@ -8,7 +8,6 @@ from itertools import combinations
 import numpy as np
 
 from hexservo.findings.analysis.scene import Scene
-from hexservo.findings.diagnosis.environment import unknown_payload
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.wording import number, quantity
 
@@ -89,7 +88,9 @@ def _of_view(scene: Scene) -> Iterator[str]:
 
 
 def _of_load(scene: Scene) -> Iterator[str]:
-    if not unknown_payload(scene.scenario):
+    if not scene.scenario.has_unknown_payload or not np.any(scene.scenario.robot.gravity):
+        return
+    if scene.scenario.actuators.kind == "position":  # legs that follow whatever it takes
         return
     load, known = scene.scenario.robot.payload.mass, scene.body.mass
     if load > _LOAD * known:

@@ -20,6 +20,7 @@ _FEWEST_PERIODS = 10  # of samples in a run: fewer are no motion, or times in ot
 _TILT = math.radians(45.0)  # of the base: more is seldom meant
 _RATE = 2.0  # [rad/s], of the base: more is seldom meant
 _ROUGH = 2.0  # factor by which an angular acceleration may grow from samples twice as far apart to all of them
+_FEWEST_ROUGH = 10  # attitudes from which that can be judged
 _LEAST_ROUGH = 0.1  # [rad/s^2], RMS, of an angular acceleration that matters
 
 
@@ -93,13 +94,16 @@ def _of_turns(scenario: Scenario, attitudes: Array, period: float) -> Iterator[s
             f"base_motion.attitudes: the base turns by up to {number(fastest)} rad/s ({math.degrees(fastest):.0f} "
             "deg/s); check that angles and rates in the file are in radians"
         )
+    if len(attitudes) < _FEWEST_ROUGH:
+        return
     whole, coarse = _rms(change), _rms(_coarse_acceleration(attitudes, period))
     if whole > max(_LEAST_ROUGH, _ROUGH * coarse):
         yield (
             f"base_motion.attitudes: their angular acceleration is {number(whole)} rad/s^2 (RMS), and "
-            f"{number(coarse)} rad/s^2 from every second sample: most of it is rounding or noise, which acts on the "
-            "platform as motion does; record more digits (rounding a quaternion to q leaves 3.5 q/h^2 about each axis, "
-            f"h = {quantity(period, 's')}), or angular rates, or smooth the attitudes"
+            f"{number(coarse)} rad/s^2 from every second sample: most of it is rounding, noise, or motion faster "
+            "than a fifth of the sampling rate, and all of it acts on the platform; smooth what is noise, record more "
+            f"digits (rounding a quaternion to q leaves 3.5 q/h^2 about each axis, h = {quantity(period, 's')}), or "
+            "sample faster what is motion"
         )
 
 

@@ -16,6 +16,7 @@ from hexservo.scenario.fitted import (
     chosen_keys,
     fitted_gains,
     fitted_keys,
+    idle_gains,
     machine_of,
     machine_with,
 )
@@ -60,7 +61,7 @@ def checked_variations(scenario: Scenario, variations: Mapping[str, ArrayLike]) 
                 )
     # The first scenario, checked as a whole: what the other keys of its block allow. Of gains, which may be refused for
     # their value alone, each that differs from the first.
-    gains = [values for key, values in arrays.items() if key.rpartition(".")[2] in scenario.idle_gains]
+    gains = [values for key, values in arrays.items() if key.rpartition(".")[2] in idle_gains(scenario)]
     others = {int(np.argmax(np.any(values != values[:1], axis=tuple(range(1, values.ndim))))) for values in gains}
     for index in sorted({0} | others):
         _require_valid(scenario, changes_of_run(arrays, law, index), index)

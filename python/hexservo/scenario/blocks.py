@@ -481,9 +481,9 @@ class Blocks(Block):
         return self.actuators.takes_positions and self.controller.traits.output == "twist"
 
     @property
-    def idle_gains(self) -> frozenset[str]:
-        """Names of the law's gains that have no effect on the machine; all but their defaults are refused."""
-        return frozenset({"ki"} if self.legs_follow_twists else ())
+    def has_unknown_payload(self) -> bool:
+        """Whether the platform has a payload that the controller does not know."""
+        return self.robot.payload.mass > 0.0 and not self.robot.payload.known
 
 
 @cache

@@ -28,17 +28,33 @@ _COEFFICIENTS = (
 )
 _WIDTHS = ("image_width", "image_Width", "width")
 _HEIGHTS = ("image_height", "image_Height", "height")
-_OF_MODEL = re.compile(r"model|(camera|lens|projection)_?type")  # keys whose value is the model of the lens
+_OF_MODEL = re.compile(r"model|type")  # keys whose value may be the model of the lens
+_LENS_MODELS = ("distortion_model", "lens_model")  # keys whose value is
 _FISHEYE = "fisheye_model"  # 0 or 1
 _NO_MODEL = ("", "pinhole")  # ROS has none where it is not known; every one of the models distorts a pinhole
-_OF_LENS = re.compile(r"^dist|distort|coef|lens|radial|tangential|intrinsic|^[dkp]_?\d+$|^xi$")
+_COEFFICIENT = re.compile(r"^[dkp]_?\d+$|^xi$")  # one number
+_OF_LENS = re.compile(r"^dist|distort|coef|lens|radial|tangential|intrinsic")  # several
 _OF_MATRIX = {re.sub("_", "", name.lower()) for name in _MATRICES}
-_DEVIATIONS = ("_std_dev", "_stddev")  # ends of the names of standard deviations
+_OF_OTHER_IMAGE = re.compile(r"(new|optimal)_?(camera)?_?(mtx|matrix)")  # of cv2.getOptimalNewCameraMatrix
+_DEVIATIONS = re.compile(r"std_?dev|error")
 _MODELS: dict[str, _Model] = {  # names of the two, in lower case with underscores
     **dict.fromkeys(("plumb_bob", "radtan", "brown", "brown_conrady"), "brown_conrady"),
     "rational_polynomial": "brown_conrady",  # where k4, k5 and k6 are zero, which the number of coefficients checks
     **dict.fromkeys(("fisheye", "equidistant", "kannala_brandt"), "kannala_brandt"),
 }
+_OTHER_MODELS = (
+    "omni",
+    "omnidir",
+    "mei",
+    "ucm",
+    "eucm",
+    "ds",
+    "double_sphere",
+    "fov",
+    "ftheta",
+    "thin_prism",
+    "division",
+)
 
 
 def camera_from_opencv(
@@ -160,13 +176,19 @@ def _require_used(document: dict[str, Any], matrix: str, coefficients: str | Non
     """Refuse numbers of the camera under a name that is not known, or under two: without them it would be another."""
     for key, value in document.items():
         name = str(key).lower()
-        if value is None or key in (matrix, coefficients) or _OF_MODEL.search(name) or name.endswith(_DEVIATIONS):
+        if value is None or key in (matrix, coefficients) or _OF_MODEL.search(name) or _DEVIATIONS.search(name):
             continue
+        if _OF_OTHER_IMAGE.search(name):
+            raise ValueError(
+                f"{key}: expected no such key, got the camera matrix of images that were rectified; drop it for the "
+                f"images of {matrix}"
+            )
         if key in _COEFFICIENTS:
             raise ValueError(f"{key}: expected the coefficients once, got {coefficients} too; drop one of the two")
         if name.replace("_", "") in _OF_MATRIX:
             raise ValueError(f"{key}: expected the camera matrix once, got {matrix} too; drop one of the two")
-        if _OF_LENS.search(name) and not (isinstance(value, str) and "lens" in name):
+        several = isinstance(value, (list, dict))
+        if (several and _OF_LENS.search(name)) or (not several and _COEFFICIENT.search(name)):
             raise ValueError(
                 f"{key}: expected no such key, got {shown_value(value)}; if these are the coefficients of the lens, "
                 f"name them {_COEFFICIENTS[0]}, in one list, else drop the key"
@@ -182,6 +204,8 @@ def _require_full_image(document: dict[str, Any], size: list[Any]) -> None:
                 "of the images that the program has, without this key"
             )
     part = document.get("roi")
+    if isinstance(part, list) and len(part) == 4:  # of cv2.getOptimalNewCameraMatrix
+        part = dict(zip(("x_offset", "y_offset", "width", "height"), part, strict=True))
     if not isinstance(part, dict):
         return
     whole = {"x_offset": (0,), "y_offset": (0,), "width": (0, size[0]), "height": (0, size[1])}
@@ -203,8 +227,8 @@ def _model(document: dict[str, Any]) -> _Model:
             found[key] = _of_fisheye(value)
             continue
         name = re.sub(r"[\s-]+", "_", str(value).strip().lower())
-        if name in _NO_MODEL:
-            continue
+        if name in _NO_MODEL or (name not in (*_MODELS, *_OTHER_MODELS) and str(key).lower() not in _LENS_MODELS):
+            continue  # of the camera or the pattern
         if name not in _MODELS:
             raise ValueError(
                 f"{key}: expected one of {', '.join(_MODELS)}, got {shown_value(value)}; drop the key if it is not the "

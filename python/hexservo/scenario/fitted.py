@@ -269,6 +269,11 @@ def auto_of(scenario: Blocks) -> Auto:
     return cast("Auto", getattr(scenario.controller, scenario.controller.law).auto)
 
 
+def idle_gains(scenario: Blocks) -> frozenset[str]:
+    """Return names of the law's gains that have no effect on the machine; all but their defaults are refused."""
+    return frozenset({"ki"} if scenario.legs_follow_twists else ())
+
+
 def acts_on_gains(key: str) -> bool:
     """Return whether fitted gains depend on a dotted key, beside bandwidth and damping."""
     return key.startswith(_OF_MACHINE) and key not in _LIMITS and key not in sampled_keys()
@@ -336,7 +341,7 @@ def gains_written(scenario: Blocks) -> dict[str, Any]:
         return {}
     law = scenario.controller.law
     own = getattr(scenario.controller, law)
-    acting = [path for path in fitted_keys(law) if path not in scenario.idle_gains]
+    acting = [path for path in fitted_keys(law) if path not in idle_gains(scenario)]
     gains = {f"controller.{law}.{path}": attrgetter(path)(own) for path in acting}
     return {f"controller.{law}.auto.bandwidth": None, **gains}
 

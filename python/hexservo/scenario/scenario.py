@@ -19,7 +19,7 @@ from pydantic import ValidationError, model_validator
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.blocks import DEFAULT_DEPTH, DEFAULT_PRESET, Blocks, preset_values
 from hexservo.scenario.core_defaults import core_default
-from hexservo.scenario.fitted import chosen_keys, with_fitted_gains, without_fitted_gains
+from hexservo.scenario.fitted import chosen_keys, idle_gains, with_fitted_gains, without_fitted_gains
 from hexservo.scenario.keys import sampled_keys, value_at, without_effect
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.placing import problem_of_recording, read_motion, read_target
@@ -86,7 +86,8 @@ class Scenario(Blocks):
 
     def _refuse_keys_without_effect(self) -> None:
         if self.simulation.mode == SAMPLED_MODE:
-            for key in self.idle_gains.intersection(chosen_keys(self)):
+            idle = idle_gains(self)  # most have none, and need not fit their gains here
+            for key in idle and idle.intersection(chosen_keys(self)):
                 raise ValueError(
                     f"controller.{self.controller.law}.{key}: has no effect where actuators.kind is not force, since "
                     "the legs follow the commanded twist by themselves; drop it"

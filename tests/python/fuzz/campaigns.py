@@ -18,6 +18,7 @@ from fuzz.batches import batch_and_single_run
 from fuzz.campaign import Trial
 from fuzz.promises import check
 from fuzz.scenarios import draw
+from hexservo.findings.check import unlikely
 from hexservo.run.controller import InputStatus
 from hexservo.run.saving import result_bytes, save_result
 
@@ -79,11 +80,12 @@ def _judged(random: Generator, judge: Callable[[hs.Result], Any]) -> str:
 
 
 def scenario_is_analysed(random: Generator, folder: Path) -> str:
-    """Analyse a scenario, one part."""
+    """Check a scenario, and analyse one part of it."""
     part = PARTS[random.integers(len(PARTS))]
     scenario = draw(random, budget=400, million=False).scenario
     if scenario is None:
         return "refused"
+    unlikely(scenario)
     found = refused_in_words(lambda: hs.analyse(scenario, [part]))
     if found is None:
         return "refused with a message"

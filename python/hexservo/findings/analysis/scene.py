@@ -86,9 +86,14 @@ class Scene:
 
     @cached_property
     def settled_start(self) -> float | None:
-        """Largest |xi(0) - xi_d| [px] where it is in the settling band before anything moves; None where it is not."""
+        """Largest |xi(0) - xi_d| [px] where it is in the settling band before anything moves; None where it is not.
+
+        None too where staying there is a result: base or target move, or the controller has the weight wrong.
+        """
         scenario = self.scenario
         if moves(scenario.base_motion) or scenario.target.motion.kind != "none":
+            return None
+        if np.any(self.settings["uncertainty.gravity"]) or scenario.has_unknown_payload:
             return None
         if np.any(self.settings["simulation.start.twist"]):
             return None

@@ -14,7 +14,6 @@ from hexservo.findings.diagnosis.environment import (
     BASE_MOTIONS,
     ideal,
     ordinary,
-    unknown_payload,
 )
 from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal, always, removed_by
 from hexservo.findings.diagnosis.remedies import (
@@ -142,7 +141,7 @@ def _gravity(case: Case) -> list[Removal]:
     changes: dict[str, Any] = {}
     if np.any(np.broadcast_to(case.scenario.uncertainty.gravity, 6) * weight):
         changes["uncertainty.gravity"] = 0.0
-    if unknown_payload(case.scenario):
+    if case.scenario.has_unknown_payload:
         changes["robot.payload.known"] = True
     if not changes:
         return []
@@ -155,7 +154,7 @@ def _gravity_alone(case: Case) -> list[Alone]:
     without = {**ideal(case.scenario), "uncertainty.gravity": 0.0}
     error = value_at(case.scenario, "uncertainty.gravity")
     wrong = {**without, "uncertainty.gravity": list(error) if isinstance(error, tuple) else error}
-    if unknown_payload(case.scenario):
+    if case.scenario.has_unknown_payload:
         wrong["robot.payload.known"] = False
     usual = ordinary(case.scenario)
     return [Alone(without, wrong), Alone({**without, **usual}, {**wrong, **usual})]

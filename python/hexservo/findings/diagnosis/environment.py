@@ -88,7 +88,7 @@ def ideal(scenario: Scenario) -> dict[str, Any]:
         changes["actuators.kind"] = "position"
     if scenario.target.motion.kind != "none":
         changes["target.motion.kind"] = "none"
-    if unknown_payload(scenario):
+    if scenario.has_unknown_payload:
         changes["robot.payload.known"] = True
     usual = type(scenario.metrics)().dwell
     if scenario.metrics.dwell > usual:
@@ -98,11 +98,6 @@ def ideal(scenario: Scenario) -> dict[str, Any]:
     if scenario.controller.jacobian == "printed" and scenario.camera.convention == "eye_in_hand":
         changes["controller.jacobian"] = "consistent"
     return changes
-
-
-def unknown_payload(scenario: Scenario) -> bool:
-    """Return whether the platform has a payload that the controller does not know."""
-    return scenario.robot.payload.mass > 0.0 and not scenario.robot.payload.known
 
 
 def ordinary(scenario: Scenario) -> dict[str, Any]:

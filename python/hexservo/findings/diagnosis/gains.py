@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from hexservo import _core
+from hexservo.scenario.fitted import idle_gains
 from hexservo.scenario.keys import default_of, keys_below, value_at
 from hexservo.scenario.scenario import Scenario
 
@@ -97,7 +98,7 @@ def default_gains(scenario: Scenario) -> dict[str, Any]:
 
 def _acting(scenario: Scenario, names: Iterable[str]) -> list[str]:
     """Return those of some names or dotted keys that have an effect."""
-    return [name for name in names if name.rpartition(".")[2] not in scenario.idle_gains]
+    return [name for name in names if name.rpartition(".")[2] not in idle_gains(scenario)]
 
 
 def _scaled(path: str, block: Any, powers: dict[str, float], rate: float) -> dict[str, Any]:

@@ -19,12 +19,12 @@ from hexservo.findings.diagnosis.environment import (
     both_alone,
     ideal,
     known,
-    unknown_payload,
     unusual,
 )
 from hexservo.findings.diagnosis.goal import goal_of, obstacle_of
 from hexservo.findings.diagnosis.model import Case, Cause, Removal
 from hexservo.findings.diagnosis.runs import Run, run_all
+from hexservo.scenario.fitted import idle_gains
 from hexservo.scenario.scenario import Scenario
 
 _NOT_ALONE = 0.25  # factor of the score for a cause that makes no run fail alone
@@ -236,7 +236,7 @@ def _ordinary_devices(case: Case) -> set[str]:
     found = {cause.key for cause in CAUSES if cause.kind == "device" and cause.keys.isdisjoint(worse)}
     if abs(float(np.mean(scenario.uncertainty.depth))) <= ORDINARY_DEPTH:
         found.add("common_depth")
-    weighed = np.abs(scenario.uncertainty.gravity).max() <= ORDINARY_WEIGHT and not unknown_payload(scenario)
+    weighed = np.abs(scenario.uncertainty.gravity).max() <= ORDINARY_WEIGHT and not scenario.has_unknown_payload
     if weighed and scenario.controller.law not in IMAGE_ALONE:
         found.add("gravity")
     shaken = base.kind == "sinusoid" and base.rotation.kind == "none"
@@ -285,7 +285,7 @@ def controls(case: Case) -> list[dict[str, Any]]:
     numbers = {
         f"controller.{law}.{name}": getattr(block, name)
         for name in ("kp", "kt", "kd", "ki", "kv", "gain")
-        if hasattr(block, name) and name not in scenario.idle_gains
+        if hasattr(block, name) and name not in idle_gains(scenario)
     }
     numbers |= {f"uncertainty.{name}": getattr(scenario.uncertainty, name) for name in ("gravity", "depth", "coriolis")}
     for _ in range(_SEEDS):

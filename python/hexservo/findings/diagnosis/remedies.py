@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from hexservo.findings.diagnosis.criterion import Record
-from hexservo.findings.diagnosis.environment import unknown_payload
 from hexservo.findings.diagnosis.gains import slower
 from hexservo.findings.diagnosis.goal import resized_image
 from hexservo.findings.diagnosis.model import Case, Removal
@@ -40,7 +39,7 @@ def gravity_remedies(case: Case, removal: Removal, record: Record) -> list[Remov
     """Correct the mass, or use a law that integrates."""
     robot, model = case.scenario.robot, case.scenario.uncertainty
     remedies = []
-    if unknown_payload(case.scenario):
+    if case.scenario.has_unknown_payload:
         remedies.append(Removal("the payload in the model of the controller", {"robot.payload.known": True}))
     if (
         model.gravity
