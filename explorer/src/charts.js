@@ -1,5 +1,6 @@
 /** Quantities against time. */
 import uPlot from "uplot";
+import { drawBounds, drawSettling } from "./behind.js";
 import { axisNumber, readable } from "./format.js";
 import { colours, isDashed, lineColour } from "./view.js";
 
@@ -9,7 +10,7 @@ const names = (list) => (_, i) => list[i];
 
 /** What can be shown: title, quantity, unit (of rotary legs `rotary`), its columns and their names. */
 export const FIGURES = {
-  errors: { title: "Feature errors", quantity: "feature_error", unit: "px", name: (_, i) => `${"xy"[i % 2]}${(i >> 1) + 1}` },
+  errors: { title: "Feature errors", quantity: "feature_error", unit: "px", name: (_, i) => `${"xy"[i % 2]}${(i >> 1) + 1}`, settles: true },
   forces: { title: "Force beyond the weight", quantity: "wrench", unit: "N", from: 0, to: 3, name: names(AXES), weight: true },
   moments: { title: "Moment", quantity: "wrench", unit: "N m", from: 3, to: 6, name: names(AXES.map((name) => name.replace("about ", ""))) },
   legs: { title: "Leg forces, torques of cranks", quantity: "leg_forces", unit: "N", rotary: "N m", name: legs },
@@ -49,7 +50,10 @@ export class Chart {
     if (this.result) this.show(this.result);
   }
 
-  /** @param {object} result of the core, with `weight` (3,) [N in B], `cranks` of rotary legs, and `shown`, the time up to which it is drawn [s] */
+  /**
+   * @param {object} result of the core, with `weight` (3,) [N in B], `cranks` of rotary legs, `band` of settling [px], `bounds` of the
+   * legs by quantity [SI], and `shown`, the time up to which it is drawn [s]
+   */
   show(result) {
     this.result = result;
     const { quantity, unit, rotary, from = 0, to, change, weight } = FIGURES[this.figure];
@@ -91,6 +95,7 @@ export class Chart {
         ],
         series: [{}, ...series],
         hooks: {
+          drawAxes: [(plot) => this.behind(plot)],
           draw: [(plot) => this.line(plot)],
           ready: [(plot) => plot.over.addEventListener("click", () => plot.cursor.left >= 0 && this.pick(plot.posToVal(plot.cursor.left, "x")))],
         },
@@ -113,6 +118,13 @@ export class Chart {
       }),
     );
     this.box.after(this.legend);
+  }
+
+  behind(plot) {
+    const { quantity, settles } = FIGURES[this.figure];
+    if (settles) drawSettling(plot, this.result);
+    const scale = readable(this.unit)[1];
+    drawBounds(plot, (this.result.bounds[quantity] ?? []).map(({ value, legs }) => ({ value: scale * value, legs })));
   }
 
   /** The time of now. */

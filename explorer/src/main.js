@@ -4,7 +4,7 @@ import { Controls, KeyList, element } from "./controls.js";
 import { Runner } from "./engine.js";
 import { short, withUnit } from "./format.js";
 import { ImageView } from "./image.js";
-import { middles, passedLimits, unitOfMetric } from "./limits.js";
+import { bounds, middles, passedLimits, unitOfMetric } from "./limits.js";
 import { ParameterMap } from "./map.js";
 import { MOST_EVERY, changed, drawn, full, laws, metrics, presetOf, presets, readAddress, start, textOf, toAddress, toYaml, valueOf, version } from "./model.js";
 import { endsAt, targetAt } from "./machine.js";
@@ -138,6 +138,8 @@ function show() {
   result.cranks = cranks(of);
   result.stroke = valueOf(of, "robot.stroke");
   result.middle = middles(of, result);
+  result.bounds = bounds(of, result.middle);
+  result.band = valueOf(of, "metrics.band");
   result.targetMoves = valueOf(of, "target.motion.kind") !== "none";
   image.show({ ...result, goals: result.scene.goal, movable: pixelsAreFeatures(of) });
   scene.show(result, down.map((g) => -g));
@@ -371,6 +373,7 @@ globalThis.explorer = {
   full: (address) => full(address ? readAddress(address).state : state),
   yaml: (address) => toYaml(address ? readAddress(address).state : state),
   ends: (row) => endsAt(result, row)?.map((end) => end.toArray()) ?? null,
+  charts: () => charts.map(({ plot }) => plot),
   target: (row) => targetAt(result, row).map((point) => point.toArray()),
   viewer: () => scene.viewpoint.camera.position.toArray(),
   presets: presets.map(({ name }) => name),

@@ -478,6 +478,97 @@ def test_a_run_beyond_a_limit_of_the_legs_is_not_called_good(visit: Visit) -> No
     )
 
 
+# The colours [r, g, b, a] of a chart's canvas at places (time [s], value [unit of the chart]).
+AT_PLACES = """({ chart, places }) => {
+  const plot = explorer.charts()[chart];
+  const { width, height } = plot.ctx.canvas;
+  const copy = new OffscreenCanvas(width, height).getContext('2d', { willReadFrequently: true });
+  copy.drawImage(plot.ctx.canvas, 0, 0);
+  return places.map(([time, value]) => {
+    const [x, y] = [plot.valToPos(time, 'x', true), plot.valToPos(value, 'y', true)].map(Math.round);
+    return [...copy.getImageData(x, y, 1, 1).data];
+  });
+}"""
+
+
+def chart_colours(page: Page, chart: int, places: list[tuple[float, float]]) -> list[list[int]]:
+    """Return the colours [r, g, b, a] of a chart at places (time [s], value [unit of the chart])."""
+    found: list[list[int]] = page.evaluate(AT_PLACES, {"chart": chart, "places": places})
+    return found
+
+
+def scale_of(page: Page, chart: int) -> tuple[float, float]:
+    """Return the smallest and the largest value of a chart's vertical axis."""
+    low, high = page.evaluate("chart => [explorer.charts()[chart].scales.y].flatMap(y => [y.min, y.max])", chart)
+    return low, high
+
+
+def rgb(page: Page, name: str) -> list[int]:
+    """Return a colour of the page by its name."""
+    style = "name => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim()"
+    return [int(page.evaluate(style, name)[i : i + 2], 16) for i in (1, 3, 5)]
+
+
+@in_browser
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_the_chart_of_errors_has_the_settling_band_and_time(visit: Visit, scheme: Any) -> None:
+    page = visit.page
+    page.emulate_media(color_scheme=scheme)
+    visit.go("#paper&metrics.band=4")
+    good = rgb(page, "good")
+    settles = visit.end()["metrics"]["settling_time"]
+    low, _ = scale_of(page, 0)
+    late = page.evaluate("explorer.result.shown") * 0.57  # beside the lines of the grid
+    inside, outside, line, beside = chart_colours(
+        page, 0, [(late, 3.3), (late, 6.5), (settles, 0.9 * low), (settles - 0.02, 0.9 * low)]
+    )
+    assert inside[:3] == pytest.approx(good, abs=3)
+    assert 0 < inside[3] < 60 < 200 < line[3]
+    assert outside != inside
+    assert line[:3] == pytest.approx(good, abs=3)
+    assert beside != line
+    unsettled = visit.go("#paper&metrics.band=4&simulation.duration=0.3")["metrics"]["settling_time"]
+    assert math.isnan(unsettled)
+    assert chart_colours(page, 0, [(settles - 0.1, 0.9 * low)])[0][:3] != good
+
+
+@in_browser
+def test_limits_of_the_legs_are_drawn_where_the_scale_of_the_curves_has_them(visit: Visit) -> None:
+    """A limit of all legs in the colour of a warning, those of one leg each in its colour; no limit changes a scale."""
+    page = visit.page
+    limit = hs.load_scenario("saturation").robot.force_limit
+    page.select_option("#figure-1", "legs")
+    visit.go("#saturation")
+    low, high = scale_of(page, 1)
+    assert low < limit < high
+    middle = page.evaluate("explorer.result.shown") / 2
+    assert chart_colours(page, 1, [(middle, limit)])[0] == [*rgb(page, "warn"), 255]
+    visit.go("#saturation&robot.force_limit=0.2")
+    assert scale_of(page, 1)[1] < 0.2
+    visit.go("#fails-unequal-depth")
+    page.select_option("#figure-1", "lengths")
+    longest = page.evaluate("1e3 * (explorer.result.middle[0] + explorer.result.stroke)")
+    assert scale_of(page, 1)[1] < longest, "none passes its stroke as long as it settles"
+    page.select_option("#span", "all")
+    low, high = scale_of(page, 1)
+    assert low < longest < high
+    assert chart_colours(page, 1, [(0.001, longest)])[0] == [*rgb(page, "warn"), 255]
+    visit.go("#reachy-mini&robot.stroke=0.1")
+    bounds = page.evaluate("explorer.result.bounds.leg_lengths")
+    assert [bound["legs"] for bound in bounds] == [[0, 2, 4]] * 2 + [[1, 3, 5]] * 2, "cranks to both sides"
+    scenario = hs.load_scenario("rubin-camera-hexapod")
+    joints = np.array(scenario.robot.platform_joints) + [[0.01 * leg, 0, 0] for leg in range(6)]
+    words = ",".join(map(str, joints.ravel()))
+    visit.go(f"#rubin-camera-hexapod&robot.platform_joints={words}&robot.stroke=0.001")
+    low, high = scale_of(page, 1)
+    bounds = [
+        bound for bound in page.evaluate("explorer.result.bounds.leg_lengths") if low < 1e3 * bound["value"] < high
+    ]
+    assert len(bounds) > 1
+    for value, (leg,) in (tuple(bound.values()) for bound in bounds):
+        assert chart_colours(page, 1, [(0.001, 1e3 * value)])[0] == [*rgb(page, f"c{leg}"), 255], leg
+
+
 DISCS = """colours => colours.map(colour => {
   const fill = getComputedStyle(document.documentElement).getPropertyValue(`--${colour}`).trim();
   const disc = document.querySelector(`#scene circle[fill="${fill}"]`);
