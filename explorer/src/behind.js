@@ -1,6 +1,6 @@
-/** What a chart has behind its curves: the settling band and the settling time, and limits of the legs. */
+/** What a chart has behind its curves: the settling band and the settling time, limits of the legs, and the preset's errors. */
 import { withUnit } from "./format.js";
-import { colours, lineColour } from "./view.js";
+import { colours, lineColour, pale } from "./view.js";
 
 const FAINTER = 0.15; // a band beside a line of its colour
 const FONT = 11; // pixels
@@ -16,6 +16,29 @@ function within(plot, draw) {
   ctx.font = `${FONT * devicePixelRatio}px system-ui, sans-serif`;
   draw(ctx, devicePixelRatio);
   ctx.restore();
+}
+
+/**
+ * Errors of another run, pale, as far as the plot's time goes.
+ * @param {{rows: number, points: number, samples: {time: Float64Array, feature_error: Float64Array}}} run
+ * @param {Array<{stroke: string, dash?: number[]}>} looks of its curves
+ */
+export function drawErrors(plot, { rows, points, samples }, looks) {
+  const { time, feature_error: errors } = samples;
+  const [left, top] = [plot.valToPos(0, "x", true), plot.valToPos(0, "y", true)];
+  const [right, up] = [plot.valToPos(1, "x", true) - left, plot.valToPos(1, "y", true) - top]; // of a second, and of a pixel of the image
+  const later = time.findIndex((t) => t > plot.scales.x.max);
+  const last = later < 0 ? rows - 1 : later;
+  within(plot, (ctx, size) => {
+    looks.forEach(({ stroke, dash = [] }, j) => {
+      ctx.strokeStyle = pale(stroke);
+      ctx.lineWidth = 1.4 * size;
+      ctx.setLineDash(dash.map((length) => length * size));
+      ctx.beginPath();
+      for (let k = 0; k <= last; ++k) ctx.lineTo(left + right * time[k], top + up * errors[2 * points * k + j]);
+      ctx.stroke();
+    });
+  });
 }
 
 /**

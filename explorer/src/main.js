@@ -6,7 +6,7 @@ import { short, withUnit } from "./format.js";
 import { ImageView } from "./image.js";
 import { bounds, middles, passedLimits, unitOfMetric } from "./limits.js";
 import { ParameterMap } from "./map.js";
-import { MOST_EVERY, changed, drawn, full, laws, metrics, presetOf, presets, readAddress, start, textOf, toAddress, toYaml, valueOf, version } from "./model.js";
+import { changed, drawn, full, laws, metrics, presetOf, presets, readAddress, start, textOf, toAddress, toYaml, valueOf, version } from "./model.js";
 import { endsAt, targetAt } from "./machine.js";
 import { MachineView } from "./scene.js";
 import { write } from "./view.js";
@@ -140,6 +140,8 @@ function show() {
   result.middle = middles(of, result);
   result.bounds = bounds(of, result.middle);
   result.band = valueOf(of, "metrics.band");
+  result.ghost = ghost();
+  document.body.dataset.ghost = result.ghost ? "yes" : "";
   result.targetMoves = valueOf(of, "target.motion.kind") !== "none";
   image.show({ ...result, goals: result.scene.goal, movable: pixelsAreFeatures(of) });
   scene.show(result, down.map((g) => -g));
@@ -197,6 +199,12 @@ function ending(of, { outcome, metrics: values, time, detail, ...rest }) {
 /** The preset's run where what is shown is a run of that preset, else null. */
 const itsPreset = () => (reference?.state.preset === result.state.preset ? reference : null);
 
+/** The preset's run where it is another one than what is shown, and its features are as many. */
+function ghost() {
+  const preset = itsPreset();
+  return preset && isChanged() && preset.points === result.points ? preset : null;
+}
+
 const isChanged = () => Object.keys(result.state.changes).length > 0;
 
 function verdict() {
@@ -251,7 +259,7 @@ function table() {
 function compare() {
   reference = null;
   const preset = { preset: state.preset, changes: {} };
-  referee?.run({ ...full(preset), "simulation.log_every": MOST_EVERY }, preset);
+  referee?.run(drawn(preset), preset);
 }
 
 // --- time
@@ -375,6 +383,7 @@ globalThis.explorer = {
   ends: (row) => endsAt(result, row)?.map((end) => end.toArray()) ?? null,
   charts: () => charts.map(({ plot }) => plot),
   target: (row) => targetAt(result, row).map((point) => point.toArray()),
+  place: (x, y) => image.place(x, y),
   viewer: () => scene.viewpoint.camera.position.toArray(),
   presets: presets.map(({ name }) => name),
   set: (key, value) => change((now) => changed(now, key, value)),
@@ -389,10 +398,7 @@ try {
     Runner.make((message, preset) => {
       if (!message.result) return;
       reference = { ...message.result, state: preset };
-      if (result) {
-        verdict();
-        table();
-      }
+      if (result) show();
     }),
   ]);
   run();

@@ -188,7 +188,7 @@ export function toYaml(state) {
 export const MOST_ROWS = 800;
 
 /** Steps between two samples, at most: no sample but the first and the last is drawn. */
-export const MOST_EVERY = 1e9;
+const MOST_EVERY = 1e9;
 
 /** The scenario of a run whose samples are drawn. */
 export function drawn(state) {

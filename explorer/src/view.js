@@ -18,6 +18,14 @@ const LINE_COLOURS = 8;
 export const lineColour = (i) => colours()[`c${i % LINE_COLOURS}`];
 export const isDashed = (i) => Math.floor(i / LINE_COLOURS) % 2 === 1;
 
+const PALE = 0.3; // share of a colour, the rest of which is that of the panel
+
+/** The colour of what is behind a line of a colour, pale where lines lie one on the other too. */
+export function pale(colour) {
+  const [own, panel] = [colour, colours().panel].map((hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16)));
+  return `rgb(${own.map((part, k) => Math.round(PALE * part + (1 - PALE) * panel[k])).join(" ")})`;
+}
+
 /** Writes a text where it is another one: what stays the same need not be laid out again. */
 export function write(node, text) {
   if (node.textContent !== text) node.textContent = text;

@@ -478,22 +478,26 @@ def test_a_run_beyond_a_limit_of_the_legs_is_not_called_good(visit: Visit) -> No
     )
 
 
-# The colours [r, g, b, a] of a chart's canvas at places (time [s], value [unit of the chart]).
+# Colours [r, g, b, a] at places of a canvas: of a chart (time [s], value [unit of the chart]), or of the image [px].
 AT_PLACES = """({ chart, places }) => {
   const plot = explorer.charts()[chart];
-  const { width, height } = plot.ctx.canvas;
-  const copy = new OffscreenCanvas(width, height).getContext('2d', { willReadFrequently: true });
-  copy.drawImage(plot.ctx.canvas, 0, 0);
-  return places.map(([time, value]) => {
-    const [x, y] = [plot.valToPos(time, 'x', true), plot.valToPos(value, 'y', true)].map(Math.round);
-    return [...copy.getImageData(x, y, 1, 1).data];
-  });
+  const canvas = plot ? plot.ctx.canvas : document.getElementById('image');
+  const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext('2d', { willReadFrequently: true });
+  copy.drawImage(canvas, 0, 0);
+  const place = (x, y) => plot ? [plot.valToPos(x, 'x', true), plot.valToPos(y, 'y', true)] : explorer.place(x, y);
+  return places.map(([x, y]) => [...copy.getImageData(...place(x, y).map(Math.round), 1, 1).data]);
 }"""
 
 
 def chart_colours(page: Page, chart: int, places: list[tuple[float, float]]) -> list[list[int]]:
     """Return the colours [r, g, b, a] of a chart at places (time [s], value [unit of the chart])."""
     found: list[list[int]] = page.evaluate(AT_PLACES, {"chart": chart, "places": places})
+    return found
+
+
+def image_colours(page: Page, places: list[tuple[float, float]]) -> list[list[int]]:
+    """Return the colours [r, g, b, a] of the image at places [px]."""
+    found: list[list[int]] = page.evaluate(AT_PLACES, {"chart": None, "places": places})
     return found
 
 
@@ -567,6 +571,71 @@ def test_limits_of_the_legs_are_drawn_where_the_scale_of_the_curves_has_them(vis
     assert len(bounds) > 1
     for value, (leg,) in (tuple(bound.values()) for bound in bounds):
         assert chart_colours(page, 1, [(0.001, 1e3 * value)])[0] == [*rgb(page, f"c{leg}"), 255], leg
+
+
+def features(page: Page, run: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the times [s] of a run, (n,), and its errors and features [px], (n, 2 points)."""
+    time, errors, goals = page.evaluate(
+        """run => {
+          const { samples, scene } = explorer[run];
+          return [samples.time, samples.feature_error, scene.goal].map(all => [...all]);
+        }""",
+        run,
+    )
+    errors = np.reshape(errors, (len(time), -1))
+    return np.array(time), errors, np.array(goals) - errors
+
+
+def pale_share(page: Page, found: list[list[int]]) -> float:
+    """Return the share of places [r, g, b, a] that have the colour of a line, pale."""
+    colours = np.array([rgb(page, f"c{i}") for i in range(8)])
+    pale = 0.3 * colours + 0.7 * np.array(rgb(page, "panel"))
+    return float(np.mean([np.abs(pale - place[:3]).max(axis=1).min() < 10 for place in found]))
+
+
+@in_browser
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_behind_a_run_that_is_changed_is_that_of_the_preset(visit: Visit, scheme: Any) -> None:
+    """Pale paths and curves, where the run is not near; none without a change, and none of another number of points."""
+    page = visit.page
+    page.emulate_media(color_scheme=scheme)
+    note = page.locator("figure:has(#chart-0) .ghost")
+    assert note.is_hidden()
+    assert page.evaluate("explorer.result.ghost") is None
+    visit.go("#paper&controller.law=kelly&simulation.duration=0.3")
+    page.select_option("#span", "all")
+    page.wait_for_function("explorer.result.ghost")
+    time, errors, paths = features(page, "reference")
+    times, error, now = features(page, "result")
+    far = [row for row in range(len(time)) if np.abs(now[:, :2] - paths[row, :2]).max(axis=1).min() > 1.0]
+    assert len(far) > 10
+    places = [(float(x), float(y)) for x, y in paths[far, :2]]
+    assert pale_share(page, image_colours(page, places)) > 0.5
+    (low, high), end = scale_of(page, 0), page.evaluate("explorer.result.shown")
+    apart = np.abs(errors[:, 0] - np.interp(time, times, error[:, 0])) > 3
+    curve = [
+        (float(at), float(value))
+        for at, value in zip(time[apart], errors[apart, 0], strict=True)
+        if at < end and low < value < high
+    ]
+    assert len(curve) >= 5
+    assert pale_share(page, chart_colours(page, 0, curve)) > 0.5
+    assert page.locator(".ghost:visible").all_inner_texts() == ["pale: the preset"] * 2
+    page.click("#reset")
+    page.wait_for_function("explorer.shown === '#paper'")
+    assert note.is_hidden()
+    assert pale_share(page, image_colours(page, places)) == 0
+    visit.go("#reachy-mini")
+    page.wait_for_function("explorer.reference")
+    fewer = {
+        "target.points": page.evaluate("explorer.full()['target.points']")[:12],
+        "target.desired_features": page.evaluate("explorer.result.scene.goal")[:8],
+        "target.weights": [1],
+        "uncertainty.depth": [0],
+    }
+    words = [f"{key}={','.join(map(str, value))}" for key, value in fewer.items()]
+    assert visit.go("&".join(["#reachy-mini", *words]))["refusal"] is None
+    assert page.evaluate("[explorer.reference.points, explorer.result.points, explorer.result.ghost]") == [5, 4, None]
 
 
 DISCS = """colours => colours.map(colour => {
