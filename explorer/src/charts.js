@@ -3,7 +3,7 @@ import uPlot from "uplot";
 import { drawBounds, drawErrors, drawSettling } from "./behind.js";
 import { element } from "./controls.js";
 import { axisNumber, readable } from "./format.js";
-import { colours, isDashed, lineColour } from "./view.js";
+import { colours, lookOf, strip } from "./view.js";
 
 const AXES = ["x", "y", "z", "about x", "about y", "about z"];
 const legs = (_, i) => `leg ${i + 1}`;
@@ -11,7 +11,7 @@ const names = (list) => (_, i) => list[i];
 
 /** What can be shown: title, quantity, unit (of rotary legs `rotary`), its columns and their names. */
 export const FIGURES = {
-  errors: { title: "Feature errors", quantity: "feature_error", unit: "px", name: (_, i) => `${"xy"[i % 2]}${(i >> 1) + 1}`, isOfErrors: true },
+  errors: { title: "Feature errors", quantity: "feature_error", unit: "px", name: (_, i) => `${"xy"[i % 2]}${(i >> 1) + 1}`, isOfErrors: true, each: 2 },
   forces: { title: "Force beyond the weight", quantity: "wrench", unit: "N", from: 0, to: 3, name: names(AXES), weight: true },
   moments: { title: "Moment", quantity: "wrench", unit: "N m", from: 3, to: 6, name: names(AXES.map((name) => name.replace("about ", ""))) },
   legs: { title: "Leg forces, torques of cranks", quantity: "leg_forces", unit: "N", rotary: "N m", name: legs },
@@ -81,10 +81,10 @@ export class Chart {
   build(data) {
     this.plot?.destroy();
     this.count = data.length - 1;
-    const { name } = FIGURES[this.figure];
+    const { name, each } = FIGURES[this.figure];
     const colour = colours();
     const axis = { stroke: colour.faint, grid: { stroke: colour.line, width: 1 }, ticks: { show: false }, font: "11px system-ui, sans-serif", size: 26, labelSize: 14, labelFont: "11px system-ui, sans-serif", values: (_, splits) => splits.map((value) => (value === null ? "" : axisNumber(value))) };
-    const series = data.slice(1).map((_, i) => ({ label: name(null, i), stroke: lineColour(i), dash: isDashed(i) ? [6, 4] : undefined, width: 1.4, points: { show: false } }));
+    const series = data.slice(1).map((_, i) => ({ label: name(null, i), ...lookOf(i, each), width: 1.4, points: { show: false } }));
     this.looks = series;
     this.plot = new uPlot(
       {
@@ -113,11 +113,10 @@ export class Chart {
     this.legend = document.createElement("div");
     this.legend.className = "legend";
     this.legend.append(
-      ...series.map(({ label, stroke, dash }) => {
+      ...series.map(({ label, ...look }) => {
         const item = document.createElement("span");
         item.textContent = label;
-        item.classList.toggle("dashed", dash !== undefined);
-        item.style.setProperty("--colour", stroke);
+        item.style.setProperty("--colour", strip(look));
         return item;
       }),
     );

@@ -1286,14 +1286,39 @@ def test_a_phone_scrolls_in_one_direction_and_names_all_its_controls(browser: Br
 
 
 @in_browser
-def test_lines_of_one_colour_differ_in_their_dash(visit: Visit) -> None:
-    """Ten lines of five points, and eight colours."""
+def test_lines_of_a_point_have_its_colour_in_the_image(visit: Visit) -> None:
+    """Of each of five points x and y, and its depth; of nine the last one's have the first colour and other dashes."""
+    page = visit.page
     visit.go("#reachy-mini")
-    looks = visit.page.locator("#chart-0 + .legend span").evaluate_all(
-        "found => found.map(e => [e.style.getPropertyValue('--colour'), getComputedStyle(e, '::before').background])"
-    )
-    assert len(looks) == len({tuple(look) for look in looks}) == 10
-    assert len({colour for colour, _ in looks}) == 8
+    _, _, paths = features(page, "result")
+    dots = [f"#{bytes(place[:3]).hex()}" for place in image_colours(page, paths[-1].reshape(-1, 2).tolist())]
+    assert len(set(dots)) == 5
+    assert dots == [f"#{bytes(rgb(page, f'c{i}')).hex()}" for i in range(5)]
+    looks = looks_of(page, 0)
+    assert looks[::2] == dots
+    assert all(dot in look and look != dot for dot, look in zip(dots, looks[1::2], strict=True))
+    page.select_option("#figure-1", "depth")
+    assert looks_of(page, 1) == dots
+    points, goals = page.evaluate("[explorer.full()['target.points'], explorer.result.scene.goal]")
+    more = {
+        "target.points": points + [0.9 * x for x in points[:12]],
+        "target.desired_features": goals + [0.9 * x for x in goals[:8]],
+    }
+    words = [f"{key}={','.join(map(str, value))}" for key, value in more.items()]
+    end = visit.go("&".join(["#reachy-mini", *words, "target.weights=1", "uncertainty.depth=0"]))
+    assert end["refusal"] is None
+    looks = looks_of(page, 0)
+    assert len(set(looks)) == len(looks) == 18
+    assert all(dots[0] in look for look in (*looks[:2], *looks[16:]))
+
+
+def looks_of(page: Page, chart: int) -> list[str]:
+    """Return the colours of a chart's lines, or the pictures of those that are dashed, as its legend shows them."""
+    lines = page.locator(f"#chart-{chart} + .legend span")
+    shown = lines.evaluate_all("all => all.map(e => getComputedStyle(e, '::before').background)")
+    found: list[str] = lines.evaluate_all("all => all.map(e => e.style.getPropertyValue('--colour'))")
+    assert len(set(shown)) == len(set(found)), "what is set is seen"
+    return found
 
 
 @in_browser
