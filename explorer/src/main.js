@@ -6,7 +6,7 @@ import { short, withUnit } from "./format.js";
 import { ImageView } from "./image.js";
 import { bounds, middles, passedLimits, unitOfMetric } from "./limits.js";
 import { ParameterMap } from "./map.js";
-import { changed, drawn, full, laws, metrics, presetOf, presets, readAddress, start, textOf, toAddress, toYaml, valueOf, version } from "./model.js";
+import { changed, drawn, full, groups, laws, metrics, presetOf, presets, readAddress, start, textOf, toAddress, toYaml, valueOf, version } from "./model.js";
 import { endsAt, targetAt } from "./machine.js";
 import { MachineView } from "./scene.js";
 import { write } from "./view.js";
@@ -312,7 +312,7 @@ const controls = new Controls($("controls"), change);
 const keyList = new KeyList($("keys"), $("search"), change);
 const map = new ParameterMap($("map"), change);
 
-$("preset").append(...presets.map(({ name }) => element("option", { value: name }, name)));
+$("preset").append(...groups.map(([label, members]) => element("optgroup", { label }, ...members.map(({ name }) => element("option", { value: name }, name)))));
 $("law").append(...laws.map((name) => element("option", { value: name }, name.replaceAll("_", " "))));
 $("preset").addEventListener("change", () => change(() => ({ preset: $("preset").value, changes: {} })));
 $("law").addEventListener("change", () => change((now) => changed(now, "controller.law", $("law").value)));

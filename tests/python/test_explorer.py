@@ -841,6 +841,26 @@ def test_a_goal_that_is_chosen_leaves_the_time_alone(visit: Visit) -> None:
 
 
 @in_browser
+def test_presets_are_in_groups(visit: Visit) -> None:
+    """Each in one, by its name or by what it says of itself."""
+    groups = visit.page.locator("#preset optgroup").evaluate_all(
+        "found => found.map(group => [group.label, [...group.children].map(option => option.value)])"
+    )
+    assert [label for label, _ in groups] == ["The paper", "Cameras and loops", "Machines", "Failures", "Tasks"]
+    assert sorted(name for _, names in groups for name in names) == sorted(hs.scenario_names())
+    scenarios = {name: hs.load_scenario(name) for name in hs.scenario_names()}
+    mass = scenarios["paper"].robot.mass
+    for label, names in groups:
+        for name in names:
+            fails = scenarios[name].description.startswith("Fails,")
+            assert (label == "Failures") == fails, name
+            assert (label == "The paper") == name.startswith("paper"), name
+            assert (label == "Tasks") == name.startswith(("task-", "textbook-")), name
+            assert (label == "Machines") == (scenarios[name].robot.mass != mass and not fails), name
+    assert groups[0][1][0] == "paper"
+
+
+@in_browser
 def test_no_slider_of_a_preset_is_marked_as_changed(visit: Visit) -> None:
     """Where the sliders of two presets are alike too, each goes back to the preset's own values."""
     page = visit.page
@@ -1495,6 +1515,9 @@ def test_a_scenario_of_a_file_is_one_more_preset(browser: Browser, tmp_path: Pat
     assert visit.page.evaluate("explorer.full()") == core_values(scenario)
     again = hs.Scenario.from_yaml(visit.page.evaluate("explorer.yaml()"))
     assert (again.name, again.uncertainty) == ("task-tilt-file", scenario.uncertainty)
+    first = visit.page.locator("#preset optgroup").first
+    assert first.get_attribute("label") == "From a file"
+    assert first.locator("option").all_text_contents() == ["task-tilt-file"]
     assert visit.problems == []
     visit.context.close()
 
