@@ -237,7 +237,8 @@ let rows = null;
 function table() {
   rows ??= metrics.map(({ name, unit, meaning }) => {
     const cells = [element("td"), element("td")];
-    $("metrics").append(element("tr", { title: meaning }, element("th", { scope: "row" }, name.replaceAll("_", " ")), ...cells));
+    const about = element("details", {}, element("summary", {}, name.replaceAll("_", " ")), element("span", {}, meaning));
+    $("metrics").append(element("tr", { title: meaning }, element("th", { scope: "row" }, about), ...cells));
     return { name, unit, cells };
   });
   const preset = itsPreset();

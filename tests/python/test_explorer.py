@@ -1342,6 +1342,18 @@ def looks_of(page: Page, chart: int) -> list[str]:
 
 
 @in_browser
+def test_what_a_metric_means_is_found_without_a_pointer(visit: Visit) -> None:
+    page = visit.page
+    meaning = METRICS["settling_time"][1]
+    name = page.locator("#metrics summary", has_text="settling time")
+    assert name.count() == 1
+    assert not page.get_by_text(meaning).is_visible()
+    name.focus()
+    page.keyboard.press("Enter")
+    assert page.get_by_text(meaning).is_visible()
+
+
+@in_browser
 def test_on_paper_there_are_pictures_and_numbers_and_no_controls(visit: Visit) -> None:
     page = visit.page
     visit.go("#paper&uncertainty.gravity=0.01")
