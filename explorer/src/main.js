@@ -265,6 +265,9 @@ function compare() {
 
 // --- time
 
+const STILL = 500; // milliseconds that a picture stays where a reader asks for less motion
+const lessMotion = matchMedia("(prefers-reduced-motion: reduce)");
+
 function play() {
   cancelAnimationFrame(playing);
   const running = $("play").dataset.on === "yes";
@@ -276,8 +279,10 @@ function play() {
   let before = null; // until the first frame: the time of a frame may be before the click
   const step = (now) => {
     const duration = result.samples.time[result.rows - 1] || 1;
-    at(share + (Number($("speed").value) * (now - (before ?? now))) / 1000 / duration);
-    before = now;
+    if (before === null || !lessMotion.matches || now - before >= STILL) {
+      at(share + (Number($("speed").value) * (now - (before ?? now))) / 1000 / duration);
+      before = now;
+    }
     if (share >= 1) play();
     else if ($("play").dataset.on === "yes") playing = requestAnimationFrame(step);
   };

@@ -250,6 +250,28 @@ def test_play_begins_where_the_first_frame_is_before_the_click(visit: Visit) -> 
 
 
 @in_browser
+def test_play_goes_in_steps_where_less_motion_is_asked_for(visit: Visit) -> None:
+    page = visit.page
+    page.emulate_media(reduced_motion="reduce")
+    times = page.evaluate(
+        """async () => {
+          document.getElementById('play').click();
+          const [seen, end] = [[], performance.now() + 1600];
+          while (performance.now() < end) {
+            await new Promise(requestAnimationFrame);
+            const time = parseFloat(document.getElementById('now').textContent);
+            if (time !== seen.at(-1)) seen.push(time);
+          }
+          document.getElementById('play').click();
+          return seen;
+        }"""
+    )
+    steps = np.diff(times[1:])
+    assert 1 <= len(steps) <= 4
+    assert steps.min() >= 0.45
+
+
+@in_browser
 def test_the_page_is_answered_within_a_run_of_slow_steps(visit: Visit) -> None:
     """2000 substeps make a control step take milliseconds: looks at what is asked for are of time, not of steps."""
     page = visit.page
@@ -842,7 +864,7 @@ def test_a_goal_that_is_chosen_leaves_the_time_alone(visit: Visit) -> None:
 
 @in_browser
 def test_presets_are_in_groups(visit: Visit) -> None:
-    """Each in one, by its name or by what it says of itself."""
+    """Each in one, by its name, its description or its mass."""
     groups = visit.page.locator("#preset optgroup").evaluate_all(
         "found => found.map(group => [group.label, [...group.children].map(option => option.value)])"
     )
