@@ -1,7 +1,9 @@
 /** Quantities against time. */
 import uPlot from "uplot";
+import { drawBounds, drawErrors, drawSettling } from "./behind.js";
+import { element } from "./controls.js";
 import { axisNumber, readable } from "./format.js";
-import { colours, isDashed, lineColour } from "./view.js";
+import { colours, lookOf, strip } from "./view.js";
 
 const AXES = ["x", "y", "z", "about x", "about y", "about z"];
 const legs = (_, i) => `leg ${i + 1}`;
@@ -9,7 +11,7 @@ const names = (list) => (_, i) => list[i];
 
 /** What can be shown: title, quantity, unit (of rotary legs `rotary`), its columns and their names. */
 export const FIGURES = {
-  errors: { title: "Feature errors", quantity: "feature_error", unit: "px", name: (_, i) => `${"xy"[i % 2]}${(i >> 1) + 1}` },
+  errors: { title: "Feature errors", quantity: "feature_error", unit: "px", name: (_, i) => `${"xy"[i % 2]}${(i >> 1) + 1}`, isOfErrors: true, each: 2 },
   forces: { title: "Force beyond the weight", quantity: "wrench", unit: "N", from: 0, to: 3, name: names(AXES), weight: true },
   moments: { title: "Moment", quantity: "wrench", unit: "N m", from: 3, to: 6, name: names(AXES.map((name) => name.replace("about ", ""))) },
   legs: { title: "Leg forces, torques of cranks", quantity: "leg_forces", unit: "N", rotary: "N m", name: legs },
@@ -32,6 +34,8 @@ export class Chart {
     this.figure = figure;
     this.pick = pick;
     this.now = 0;
+    this.note = element("small", { class: "ghost" }, "pale: the preset");
+    box.parentElement.querySelector("figcaption").append(this.note);
     new ResizeObserver(() => this.plot?.setSize(this.size())).observe(box);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
       this.count = -1;
@@ -49,7 +53,10 @@ export class Chart {
     if (this.result) this.show(this.result);
   }
 
-  /** @param {object} result of the core, with `weight` (3,) [N in B], `cranks` of rotary legs, and `shown`, the time up to which it is drawn [s] */
+  /**
+   * @param {object} result of the core, with `weight` (3,) [N in B], `cranks` of rotary legs, `band` of settling [px], `bounds` of the
+   * legs by quantity [SI], `ghost`, a run of as many points that is drawn pale, or null, and `shown`, the time up to which it is drawn [s]
+   */
   show(result) {
     this.result = result;
     const { quantity, unit, rotary, from = 0, to, change, weight } = FIGURES[this.figure];
@@ -74,10 +81,11 @@ export class Chart {
   build(data) {
     this.plot?.destroy();
     this.count = data.length - 1;
-    const { name } = FIGURES[this.figure];
+    const { name, each } = FIGURES[this.figure];
     const colour = colours();
     const axis = { stroke: colour.faint, grid: { stroke: colour.line, width: 1 }, ticks: { show: false }, font: "11px system-ui, sans-serif", size: 26, labelSize: 14, labelFont: "11px system-ui, sans-serif", values: (_, splits) => splits.map((value) => (value === null ? "" : axisNumber(value))) };
-    const series = data.slice(1).map((_, i) => ({ label: name(null, i), stroke: lineColour(i), dash: isDashed(i) ? [6, 4] : undefined, width: 1.4, points: { show: false } }));
+    const series = data.slice(1).map((_, i) => ({ label: name(null, i), ...lookOf(i, each), width: 1.4, points: { show: false } }));
+    this.looks = series;
     this.plot = new uPlot(
       {
         ...this.size(),
@@ -91,6 +99,7 @@ export class Chart {
         ],
         series: [{}, ...series],
         hooks: {
+          drawAxes: [(plot) => this.behind(plot)],
           draw: [(plot) => this.line(plot)],
           ready: [(plot) => plot.over.addEventListener("click", () => plot.cursor.left >= 0 && this.pick(plot.posToVal(plot.cursor.left, "x")))],
         },
@@ -104,15 +113,23 @@ export class Chart {
     this.legend = document.createElement("div");
     this.legend.className = "legend";
     this.legend.append(
-      ...series.map(({ label, stroke, dash }) => {
+      ...series.map(({ label, ...look }) => {
         const item = document.createElement("span");
         item.textContent = label;
-        item.classList.toggle("dashed", dash !== undefined);
-        item.style.setProperty("--colour", stroke);
+        item.style.setProperty("--colour", strip(look));
         return item;
       }),
     );
+    this.note.hidden = !FIGURES[this.figure].isOfErrors;
     this.box.after(this.legend);
+  }
+
+  behind(plot) {
+    const { quantity, isOfErrors } = FIGURES[this.figure];
+    if (isOfErrors && this.result.ghost) drawErrors(plot, this.result.ghost, this.looks);
+    if (isOfErrors) drawSettling(plot, this.result);
+    const scale = readable(this.unit)[1];
+    drawBounds(plot, (this.result.bounds[quantity] ?? []).map(({ value, legs }) => ({ value: scale * value, legs })));
   }
 
   /** The time of now. */

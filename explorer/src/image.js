@@ -1,6 +1,6 @@
 /** The image plane: paths of the features, their goals, which can be dragged, and where they are now. */
 import { short } from "./format.js";
-import { cleared, colours, isShortcut, lineColour, pointIn, ticks } from "./view.js";
+import { cleared, colours, isShortcut, lineColour, pale, pointIn, ticks } from "./view.js";
 
 const NEAR = 22; // pixels within which a goal is taken
 const PAD = 34;
@@ -22,7 +22,7 @@ export class ImageView {
     canvas.addEventListener("keydown", (event) => this.key(event));
   }
 
-  /** @param {{goals: number[], movable: boolean, samples: object, rows: number, points: number}} shown */
+  /** @param {{goals: number[], movable: boolean, samples: object, rows: number, points: number, ghost: object | null}} shown ghost: another run of as many points */
   show(shown) {
     this.shown = shown;
     if (this.held < 0) this.fit();
@@ -69,13 +69,10 @@ export class ImageView {
     this.scale = Math.min(width - PAD, height - PAD) / (2 * this.view.half);
     this.grid(c, width, height);
     c.lineJoin = "round";
-    for (let i = 0; i < points; ++i) {
-      c.beginPath();
-      this.path(c, i);
-      c.strokeStyle = lineColour(i);
-      c.lineWidth = 1.6;
-      c.stroke();
-    }
+    c.lineWidth = 1.6;
+    const { ghost } = this.shown;
+    if (ghost) this.paths(c, { ...ghost, goals: ghost.scene.goal }, (i) => pale(lineColour(i)));
+    this.paths(c, this.shown, lineColour);
     c.setLineDash([4, 4]);
     c.strokeStyle = colour.faint;
     c.lineWidth = 1;
@@ -113,9 +110,17 @@ export class ImageView {
     }
   }
 
+  paths(c, run, colourOf) {
+    for (let i = 0; i < run.points; ++i) {
+      c.beginPath();
+      this.path(c, run, i);
+      c.strokeStyle = colourOf(i);
+      c.stroke();
+    }
+  }
+
   /** Where a feature went: a line for each piece of way that can be seen, and to what was the last finite place. */
-  path(c, point) {
-    const { goals, samples, rows, points } = this.shown;
+  path(c, { goals, samples, rows, points }, point) {
     const errors = samples.feature_error;
     const [goalX, goalY] = this.place(goals[2 * point], goals[2 * point + 1]);
     let [x, y, drawnX, drawnY] = [NaN, NaN, NaN, NaN];

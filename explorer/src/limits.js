@@ -37,11 +37,31 @@ export function middles(state, result) {
   return vectors(result.scene.platform_joints).map((joint, i) => platform.localToWorld(joint).distanceTo(feet[i]) + centre);
 }
 
+/** Limits that differ by less are one line of a chart, as a share of the stroke. */
+const ALIKE = 0.01;
+const LEGS = [0, 1, 2, 3, 4, 5];
+
+/**
+ * Limits of what a sample has of the legs, by quantity: values [SI], each with the legs, from 0, that have it.
+ * @param {number[] | null} middle of the strokes [m or rad]
+ */
+export function bounds(state, middle) {
+  const about = (centres, most) => {
+    const values = centres.flatMap((centre) => [centre - most, centre + most]);
+    const different = values.filter((value, i) => values.findIndex((other) => Math.abs(other - value) < ALIKE * most) === i);
+    return different.map((value) => ({ value, legs: LEGS.filter((leg) => Math.abs(Math.abs(value - centres[leg]) - most) < ALIKE * most) }));
+  };
+  return {
+    leg_forces: about(LEGS.map(() => 0), valueOf(state, "robot.force_limit")),
+    leg_lengths: middle === null ? [] : about(middle, valueOf(state, "robot.stroke")),
+  };
+}
+
 /** How far a leg is from the middle of its stroke at a sample [m or rad]. */
 const travel = ({ samples, middle }, row, leg) => Math.abs(samples.leg_lengths[6 * row + leg] - middle[leg]);
 
 /** Which legs are beyond their stroke at a sample; none where the middle of it is not known. */
-export const legsBeyond = (result, row) => (result.middle ? [0, 1, 2, 3, 4, 5].filter((leg) => travel(result, row, leg) > result.stroke) : []);
+export const legsBeyond = (result, row) => (result.middle ? LEGS.filter((leg) => travel(result, row, leg) > result.stroke) : []);
 
 /** The first leg beyond its stroke, from 1, and when [s], between two samples; null where no sample is beyond. */
 function firstBeyond(result) {

@@ -4,9 +4,9 @@ import { Controls, KeyList, element } from "./controls.js";
 import { Runner } from "./engine.js";
 import { short, withUnit } from "./format.js";
 import { ImageView } from "./image.js";
-import { middles, passedLimits, unitOfMetric } from "./limits.js";
+import { bounds, middles, passedLimits, unitOfMetric } from "./limits.js";
 import { ParameterMap } from "./map.js";
-import { MOST_EVERY, changed, drawn, full, laws, metrics, presetOf, presets, readAddress, start, textOf, toAddress, toYaml, valueOf, version } from "./model.js";
+import { changed, drawn, full, groups, laws, metrics, presetOf, presets, readAddress, start, textOf, toAddress, toYaml, valueOf, version } from "./model.js";
 import { endsAt, targetAt } from "./machine.js";
 import { MachineView } from "./scene.js";
 import { write } from "./view.js";
@@ -138,6 +138,10 @@ function show() {
   result.cranks = cranks(of);
   result.stroke = valueOf(of, "robot.stroke");
   result.middle = middles(of, result);
+  result.bounds = bounds(of, result.middle);
+  result.band = valueOf(of, "metrics.band");
+  result.ghost = ghost();
+  document.body.dataset.ghost = result.ghost ? "yes" : "";
   result.targetMoves = valueOf(of, "target.motion.kind") !== "none";
   image.show({ ...result, goals: result.scene.goal, movable: pixelsAreFeatures(of) });
   scene.show(result, down.map((g) => -g));
@@ -195,6 +199,12 @@ function ending(of, { outcome, metrics: values, time, detail, ...rest }) {
 /** The preset's run where what is shown is a run of that preset, else null. */
 const itsPreset = () => (reference?.state.preset === result.state.preset ? reference : null);
 
+/** The preset's run where it is another one than what is shown, and its features are as many. */
+function ghost() {
+  const preset = itsPreset();
+  return preset && isChanged() && preset.points === result.points ? preset : null;
+}
+
 const isChanged = () => Object.keys(result.state.changes).length > 0;
 
 function verdict() {
@@ -227,7 +237,8 @@ let rows = null;
 function table() {
   rows ??= metrics.map(({ name, unit, meaning }) => {
     const cells = [element("td"), element("td")];
-    $("metrics").append(element("tr", { title: meaning }, element("th", { scope: "row" }, name.replaceAll("_", " ")), ...cells));
+    const about = element("details", {}, element("summary", {}, name.replaceAll("_", " ")), element("span", {}, meaning));
+    $("metrics").append(element("tr", { title: meaning }, element("th", { scope: "row" }, about), ...cells));
     return { name, unit, cells };
   });
   const preset = itsPreset();
@@ -249,10 +260,13 @@ function table() {
 function compare() {
   reference = null;
   const preset = { preset: state.preset, changes: {} };
-  referee?.run({ ...full(preset), "simulation.log_every": MOST_EVERY }, preset);
+  referee?.run(drawn(preset), preset);
 }
 
 // --- time
+
+const STILL = 500; // milliseconds that a picture stays where a reader asks for less motion
+const lessMotion = matchMedia("(prefers-reduced-motion: reduce)");
 
 function play() {
   cancelAnimationFrame(playing);
@@ -265,8 +279,10 @@ function play() {
   let before = null; // until the first frame: the time of a frame may be before the click
   const step = (now) => {
     const duration = result.samples.time[result.rows - 1] || 1;
-    at(share + (Number($("speed").value) * (now - (before ?? now))) / 1000 / duration);
-    before = now;
+    if (before === null || !lessMotion.matches || now - before >= STILL) {
+      at(share + (Number($("speed").value) * (now - (before ?? now))) / 1000 / duration);
+      before = now;
+    }
     if (share >= 1) play();
     else if ($("play").dataset.on === "yes") playing = requestAnimationFrame(step);
   };
@@ -302,7 +318,7 @@ const controls = new Controls($("controls"), change);
 const keyList = new KeyList($("keys"), $("search"), change);
 const map = new ParameterMap($("map"), change);
 
-$("preset").append(...presets.map(({ name }) => element("option", { value: name }, name)));
+$("preset").append(...groups.map(([label, members]) => element("optgroup", { label }, ...members.map(({ name }) => element("option", { value: name }, name)))));
 $("law").append(...laws.map((name) => element("option", { value: name }, name.replaceAll("_", " "))));
 $("preset").addEventListener("change", () => change(() => ({ preset: $("preset").value, changes: {} })));
 $("law").addEventListener("change", () => change((now) => changed(now, "controller.law", $("law").value)));
@@ -371,7 +387,9 @@ globalThis.explorer = {
   full: (address) => full(address ? readAddress(address).state : state),
   yaml: (address) => toYaml(address ? readAddress(address).state : state),
   ends: (row) => endsAt(result, row)?.map((end) => end.toArray()) ?? null,
+  charts: () => charts.map(({ plot }) => plot),
   target: (row) => targetAt(result, row).map((point) => point.toArray()),
+  place: (x, y) => image.place(x, y),
   viewer: () => scene.viewpoint.camera.position.toArray(),
   presets: presets.map(({ name }) => name),
   set: (key, value) => change((now) => changed(now, key, value)),
@@ -386,10 +404,7 @@ try {
     Runner.make((message, preset) => {
       if (!message.result) return;
       reference = { ...message.result, state: preset };
-      if (result) {
-        verdict();
-        table();
-      }
+      if (result) show();
     }),
   ]);
   run();

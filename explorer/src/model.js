@@ -25,6 +25,21 @@ const LOGGING = "simulation.log_every";
 
 export const presetOf = (name) => presets.find((preset) => preset.name === name) ?? presets[0];
 
+/** The group of the list that a preset is in: of its name, of how its description begins, or of whether its robot has another mass. */
+function groupOf(preset) {
+  const { name, description, values } = preset;
+  if (preset === own?.preset) return "From a file";
+  if (/^paper\b/.test(name)) return "The paper";
+  if (/^(task|textbook)-/.test(name)) return "Tasks";
+  if (description.startsWith("Fails,")) return "Failures";
+  return "robot.mass" in values ? "Machines" : "Cameras and loops";
+}
+
+/** Groups of the list, and the presets in each. */
+export const groups = ["From a file", "The paper", "Cameras and loops", "Machines", "Failures", "Tasks"]
+  .map((title) => [title, presets.filter((preset) => groupOf(preset) === title)])
+  .filter(([, members]) => members.length);
+
 /** Value of a key where nothing is changed. */
 export const presetValue = (preset, key) => (key in presetOf(preset).values ? presetOf(preset).values[key] : keyOf[key].default);
 
@@ -188,7 +203,7 @@ export function toYaml(state) {
 export const MOST_ROWS = 800;
 
 /** Steps between two samples, at most: no sample but the first and the last is drawn. */
-export const MOST_EVERY = 1e9;
+const MOST_EVERY = 1e9;
 
 /** The scenario of a run whose samples are drawn. */
 export function drawn(state) {

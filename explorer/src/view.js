@@ -14,9 +14,35 @@ matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => (pal
 
 const LINE_COLOURS = 8;
 
-/** One colour for each line of a figure; they begin again after eight, where `isDashed`. */
+/** One colour for each line of a figure, or point of the target; they begin again after eight. */
 export const lineColour = (i) => colours()[`c${i % LINE_COLOURS}`];
-export const isDashed = (i) => Math.floor(i / LINE_COLOURS) % 2 === 1;
+
+const DASHES = [undefined, [6, 4], [2, 3], [8, 3, 2, 3]]; // pixels
+
+/**
+ * Colour and dash of a line of a figure: those of one point have its colour in the image, and each time that colours begin again there are other dashes.
+ * @param {number} i line, from 0
+ * @param {number} each lines of a point: the first and second coordinate
+ */
+export function lookOf(i, each = 1) {
+  const point = Math.floor(i / each);
+  return { stroke: lineColour(point), dash: DASHES[(each * Math.floor(point / LINE_COLOURS) + (i % each)) % DASHES.length] };
+}
+
+/** A line of a look as the background of a short piece of it. */
+export function strip({ stroke, dash }) {
+  if (!dash) return stroke;
+  const ends = dash.map((_, k) => dash.slice(0, k + 1).reduce((sum, length) => sum + length, 0));
+  return `repeating-linear-gradient(90deg, ${ends.map((end, k) => `${k % 2 ? "transparent" : stroke} ${ends[k - 1] ?? 0}px ${end}px`).join(", ")})`;
+}
+
+const PALE = 0.3; // share of a colour, the rest of which is that of the panel
+
+/** The colour of what is behind a line of a colour, pale where lines lie one on the other too. */
+export function pale(colour) {
+  const [own, panel] = [colour, colours().panel].map((hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16)));
+  return `rgb(${own.map((part, k) => Math.round(PALE * part + (1 - PALE) * panel[k])).join(" ")})`;
+}
 
 /** Writes a text where it is another one: what stays the same need not be laid out again. */
 export function write(node, text) {

@@ -250,6 +250,28 @@ def test_play_begins_where_the_first_frame_is_before_the_click(visit: Visit) -> 
 
 
 @in_browser
+def test_play_goes_in_steps_where_less_motion_is_asked_for(visit: Visit) -> None:
+    page = visit.page
+    page.emulate_media(reduced_motion="reduce")
+    times = page.evaluate(
+        """async () => {
+          document.getElementById('play').click();
+          const [seen, end] = [[], performance.now() + 1600];
+          while (performance.now() < end) {
+            await new Promise(requestAnimationFrame);
+            const time = parseFloat(document.getElementById('now').textContent);
+            if (time !== seen.at(-1)) seen.push(time);
+          }
+          document.getElementById('play').click();
+          return seen;
+        }"""
+    )
+    steps = np.diff(times[1:])
+    assert 1 <= len(steps) <= 4
+    assert steps.min() >= 0.45
+
+
+@in_browser
 def test_the_page_is_answered_within_a_run_of_slow_steps(visit: Visit) -> None:
     """2000 substeps make a control step take milliseconds: looks at what is asked for are of time, not of steps."""
     page = visit.page
@@ -478,6 +500,166 @@ def test_a_run_beyond_a_limit_of_the_legs_is_not_called_good(visit: Visit) -> No
     )
 
 
+# Colours [r, g, b, a] at places of a canvas: of a chart (time [s], value [unit of the chart]), or of the image [px].
+AT_PLACES = """({ chart, places }) => {
+  const plot = explorer.charts()[chart];
+  const canvas = plot ? plot.ctx.canvas : document.getElementById('image');
+  const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext('2d', { willReadFrequently: true });
+  copy.drawImage(canvas, 0, 0);
+  const place = (x, y) => plot ? [plot.valToPos(x, 'x', true), plot.valToPos(y, 'y', true)] : explorer.place(x, y);
+  return places.map(([x, y]) => [...copy.getImageData(...place(x, y).map(Math.round), 1, 1).data]);
+}"""
+
+
+def chart_colours(page: Page, chart: int, places: list[tuple[float, float]]) -> list[list[int]]:
+    """Return the colours [r, g, b, a] of a chart at places (time [s], value [unit of the chart])."""
+    found: list[list[int]] = page.evaluate(AT_PLACES, {"chart": chart, "places": places})
+    return found
+
+
+def image_colours(page: Page, places: list[tuple[float, float]]) -> list[list[int]]:
+    """Return the colours [r, g, b, a] of the image at places [px]."""
+    found: list[list[int]] = page.evaluate(AT_PLACES, {"chart": None, "places": places})
+    return found
+
+
+def scale_of(page: Page, chart: int) -> tuple[float, float]:
+    """Return the smallest and the largest value of a chart's vertical axis."""
+    low, high = page.evaluate("chart => [explorer.charts()[chart].scales.y].flatMap(y => [y.min, y.max])", chart)
+    return low, high
+
+
+def rgb(page: Page, name: str) -> list[int]:
+    """Return a colour of the page by its name."""
+    style = "name => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim()"
+    return [int(page.evaluate(style, name)[i : i + 2], 16) for i in (1, 3, 5)]
+
+
+@in_browser
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_the_chart_of_errors_has_the_settling_band_and_time(visit: Visit, scheme: Any) -> None:
+    page = visit.page
+    page.emulate_media(color_scheme=scheme)
+    visit.go("#paper&metrics.band=4")
+    good = rgb(page, "good")
+    settles = visit.end()["metrics"]["settling_time"]
+    low, _ = scale_of(page, 0)
+    late = page.evaluate("explorer.result.shown") * 0.57  # beside the lines of the grid
+    inside, outside, line, beside = chart_colours(
+        page, 0, [(late, 3.3), (late, 6.5), (settles, 0.9 * low), (settles - 0.02, 0.9 * low)]
+    )
+    assert inside[:3] == pytest.approx(good, abs=3)
+    assert 0 < inside[3] < 60 < 200 < line[3]
+    assert outside != inside
+    assert line[:3] == pytest.approx(good, abs=3)
+    assert beside != line
+    unsettled = visit.go("#paper&metrics.band=4&simulation.duration=0.3")["metrics"]["settling_time"]
+    assert math.isnan(unsettled)
+    assert chart_colours(page, 0, [(settles - 0.1, 0.9 * low)])[0][:3] != good
+
+
+@in_browser
+def test_limits_of_the_legs_are_drawn_where_the_scale_of_the_curves_has_them(visit: Visit) -> None:
+    """A limit of all legs in the colour of a warning, those of one leg each in its colour; no limit changes a scale."""
+    page = visit.page
+    limit = hs.load_scenario("saturation").robot.force_limit
+    page.select_option("#figure-1", "legs")
+    visit.go("#saturation")
+    low, high = scale_of(page, 1)
+    assert low < limit < high
+    middle = page.evaluate("explorer.result.shown") / 2
+    assert chart_colours(page, 1, [(middle, limit)])[0] == [*rgb(page, "warn"), 255]
+    visit.go("#saturation&robot.force_limit=0.2")
+    assert scale_of(page, 1)[1] < 0.2
+    visit.go("#fails-unequal-depth")
+    page.select_option("#figure-1", "lengths")
+    longest = page.evaluate("1e3 * (explorer.result.middle[0] + explorer.result.stroke)")
+    assert scale_of(page, 1)[1] < longest, "none passes its stroke as long as it settles"
+    page.select_option("#span", "all")
+    low, high = scale_of(page, 1)
+    assert low < longest < high
+    assert chart_colours(page, 1, [(0.001, longest)])[0] == [*rgb(page, "warn"), 255]
+    visit.go("#reachy-mini&robot.stroke=0.1")
+    bounds = page.evaluate("explorer.result.bounds.leg_lengths")
+    assert [bound["legs"] for bound in bounds] == [[0, 2, 4]] * 2 + [[1, 3, 5]] * 2, "cranks to both sides"
+    scenario = hs.load_scenario("rubin-camera-hexapod")
+    joints = np.array(scenario.robot.platform_joints) + [[0.01 * leg, 0, 0] for leg in range(6)]
+    words = ",".join(map(str, joints.ravel()))
+    visit.go(f"#rubin-camera-hexapod&robot.platform_joints={words}&robot.stroke=0.001")
+    low, high = scale_of(page, 1)
+    bounds = [
+        bound for bound in page.evaluate("explorer.result.bounds.leg_lengths") if low < 1e3 * bound["value"] < high
+    ]
+    assert len(bounds) > 1
+    for value, (leg,) in (tuple(bound.values()) for bound in bounds):
+        assert chart_colours(page, 1, [(0.001, 1e3 * value)])[0] == [*rgb(page, f"c{leg}"), 255], leg
+
+
+def features(page: Page, run: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the times [s] of a run, (n,), and its errors and features [px], (n, 2 points)."""
+    time, errors, goals = page.evaluate(
+        """run => {
+          const { samples, scene } = explorer[run];
+          return [samples.time, samples.feature_error, scene.goal].map(all => [...all]);
+        }""",
+        run,
+    )
+    errors = np.reshape(errors, (len(time), -1))
+    return np.array(time), errors, np.array(goals) - errors
+
+
+def pale_share(page: Page, found: list[list[int]]) -> float:
+    """Return the share of places [r, g, b, a] that have the colour of a line, pale."""
+    colours = np.array([rgb(page, f"c{i}") for i in range(8)])
+    pale = 0.3 * colours + 0.7 * np.array(rgb(page, "panel"))
+    return float(np.mean([np.abs(pale - place[:3]).max(axis=1).min() < 10 for place in found]))
+
+
+@in_browser
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_behind_a_run_that_is_changed_is_that_of_the_preset(visit: Visit, scheme: Any) -> None:
+    """Pale paths and curves, where the run is not near; none without a change, and none of another number of points."""
+    page = visit.page
+    page.emulate_media(color_scheme=scheme)
+    note = page.locator("figure:has(#chart-0) .ghost")
+    assert note.is_hidden()
+    assert page.evaluate("explorer.result.ghost") is None
+    visit.go("#paper&controller.law=kelly&simulation.duration=0.3")
+    page.select_option("#span", "all")
+    page.wait_for_function("explorer.result.ghost")
+    time, errors, paths = features(page, "reference")
+    times, error, now = features(page, "result")
+    far = [row for row in range(len(time)) if np.abs(now[:, :2] - paths[row, :2]).max(axis=1).min() > 1.0]
+    assert len(far) > 10
+    places = [(float(x), float(y)) for x, y in paths[far, :2]]
+    assert pale_share(page, image_colours(page, places)) > 0.5
+    (low, high), end = scale_of(page, 0), page.evaluate("explorer.result.shown")
+    apart = np.abs(errors[:, 0] - np.interp(time, times, error[:, 0])) > 3
+    curve = [
+        (float(at), float(value))
+        for at, value in zip(time[apart], errors[apart, 0], strict=True)
+        if at < end and low < value < high
+    ]
+    assert len(curve) >= 5
+    assert pale_share(page, chart_colours(page, 0, curve)) > 0.5
+    assert page.locator(".ghost:visible").all_inner_texts() == ["pale: the preset"] * 2
+    page.click("#reset")
+    page.wait_for_function("explorer.shown === '#paper'")
+    assert note.is_hidden()
+    assert pale_share(page, image_colours(page, places)) == 0
+    visit.go("#reachy-mini")
+    page.wait_for_function("explorer.reference")
+    fewer = {
+        "target.points": page.evaluate("explorer.full()['target.points']")[:12],
+        "target.desired_features": page.evaluate("explorer.result.scene.goal")[:8],
+        "target.weights": [1],
+        "uncertainty.depth": [0],
+    }
+    words = [f"{key}={','.join(map(str, value))}" for key, value in fewer.items()]
+    assert visit.go("&".join(["#reachy-mini", *words]))["refusal"] is None
+    assert page.evaluate("[explorer.reference.points, explorer.result.points, explorer.result.ghost]") == [5, 4, None]
+
+
 DISCS = """colours => colours.map(colour => {
   const fill = getComputedStyle(document.documentElement).getPropertyValue(`--${colour}`).trim();
   const disc = document.querySelector(`#scene circle[fill="${fill}"]`);
@@ -678,6 +860,26 @@ def test_a_goal_that_is_chosen_leaves_the_time_alone(visit: Visit) -> None:
     assert image.evaluate("canvas => canvas.toDataURL()") != before, "the ring is about another goal"
     page.keyboard.press("1")
     assert image.evaluate("canvas => canvas.toDataURL()") == before
+
+
+@in_browser
+def test_presets_are_in_groups(visit: Visit) -> None:
+    """Each in one, by its name, its description or its mass."""
+    groups = visit.page.locator("#preset optgroup").evaluate_all(
+        "found => found.map(group => [group.label, [...group.children].map(option => option.value)])"
+    )
+    assert [label for label, _ in groups] == ["The paper", "Cameras and loops", "Machines", "Failures", "Tasks"]
+    assert sorted(name for _, names in groups for name in names) == sorted(hs.scenario_names())
+    scenarios = {name: hs.load_scenario(name) for name in hs.scenario_names()}
+    mass = scenarios["paper"].robot.mass
+    for label, names in groups:
+        for name in names:
+            fails = scenarios[name].description.startswith("Fails,")
+            assert (label == "Failures") == fails, name
+            assert (label == "The paper") == name.startswith("paper"), name
+            assert (label == "Tasks") == name.startswith(("task-", "textbook-")), name
+            assert (label == "Machines") == (scenarios[name].robot.mass != mass and not fails), name
+    assert groups[0][1][0] == "paper"
 
 
 @in_browser
@@ -1126,14 +1328,51 @@ def test_a_phone_scrolls_in_one_direction_and_names_all_its_controls(browser: Br
 
 
 @in_browser
-def test_lines_of_one_colour_differ_in_their_dash(visit: Visit) -> None:
-    """Ten lines of five points, and eight colours."""
+def test_lines_of_a_point_have_its_colour_in_the_image(visit: Visit) -> None:
+    """Of each of five points x and y, and its depth; of nine the last one's have the first colour and other dashes."""
+    page = visit.page
     visit.go("#reachy-mini")
-    looks = visit.page.locator("#chart-0 + .legend span").evaluate_all(
-        "found => found.map(e => [e.style.getPropertyValue('--colour'), getComputedStyle(e, '::before').background])"
-    )
-    assert len(looks) == len({tuple(look) for look in looks}) == 10
-    assert len({colour for colour, _ in looks}) == 8
+    _, _, paths = features(page, "result")
+    dots = [f"#{bytes(place[:3]).hex()}" for place in image_colours(page, paths[-1].reshape(-1, 2).tolist())]
+    assert len(set(dots)) == 5
+    assert dots == [f"#{bytes(rgb(page, f'c{i}')).hex()}" for i in range(5)]
+    looks = looks_of(page, 0)
+    assert looks[::2] == dots
+    assert all(dot in look and look != dot for dot, look in zip(dots, looks[1::2], strict=True))
+    page.select_option("#figure-1", "depth")
+    assert looks_of(page, 1) == dots
+    points, goals = page.evaluate("[explorer.full()['target.points'], explorer.result.scene.goal]")
+    more = {
+        "target.points": points + [0.9 * x for x in points[:12]],
+        "target.desired_features": goals + [0.9 * x for x in goals[:8]],
+    }
+    words = [f"{key}={','.join(map(str, value))}" for key, value in more.items()]
+    end = visit.go("&".join(["#reachy-mini", *words, "target.weights=1", "uncertainty.depth=0"]))
+    assert end["refusal"] is None
+    looks = looks_of(page, 0)
+    assert len(set(looks)) == len(looks) == 18
+    assert all(dots[0] in look for look in (*looks[:2], *looks[16:]))
+
+
+def looks_of(page: Page, chart: int) -> list[str]:
+    """Return the colours of a chart's lines, or the pictures of those that are dashed, as its legend shows them."""
+    lines = page.locator(f"#chart-{chart} + .legend span")
+    shown = lines.evaluate_all("all => all.map(e => getComputedStyle(e, '::before').background)")
+    found: list[str] = lines.evaluate_all("all => all.map(e => e.style.getPropertyValue('--colour'))")
+    assert len(set(shown)) == len(set(found)), "what is set is seen"
+    return found
+
+
+@in_browser
+def test_what_a_metric_means_is_found_without_a_pointer(visit: Visit) -> None:
+    page = visit.page
+    meaning = METRICS["settling_time"][1]
+    name = page.locator("#metrics summary", has_text="settling time")
+    assert name.count() == 1
+    assert not page.get_by_text(meaning).is_visible()
+    name.focus()
+    page.keyboard.press("Enter")
+    assert page.get_by_text(meaning).is_visible()
 
 
 @in_browser
@@ -1310,6 +1549,9 @@ def test_a_scenario_of_a_file_is_one_more_preset(browser: Browser, tmp_path: Pat
     assert visit.page.evaluate("explorer.full()") == core_values(scenario)
     again = hs.Scenario.from_yaml(visit.page.evaluate("explorer.yaml()"))
     assert (again.name, again.uncertainty) == ("task-tilt-file", scenario.uncertainty)
+    first = visit.page.locator("#preset optgroup").first
+    assert first.get_attribute("label") == "From a file"
+    assert first.locator("option").all_text_contents() == ["task-tilt-file"]
     assert visit.problems == []
     visit.context.close()
 
