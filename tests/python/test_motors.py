@@ -63,7 +63,7 @@ def in_mujoco(
 ) -> Array:
     """Legs (rows, 6) of the exported model at the ticks, each before its command, `delay` ticks late; from a keyframe.
 
-    `first` acts before the first command arrives; None: where the legs are.
+    `first` acts before the first command arrives; None: what the keyframe holds the platform with.
     """
     mujoco = pytest.importorskip("mujoco")
     model = mujoco.MjModel.from_xml_string(mjcf(scenario))
@@ -74,7 +74,7 @@ def in_mujoco(
     assert model.opt.timestep * steps == pytest.approx(tick, rel=1e-12)
     mujoco.mj_forward(model, data)
     legs = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, f"leg{leg}") for leg in range(1, 7)]
-    held = data.actuator_length[legs].copy() if first is None else first
+    held = data.ctrl[legs].copy() if first is None else first
     found = np.empty((rows, 6))
     for row in range(rows):
         found[row] = data.actuator_length[legs]
