@@ -226,9 +226,9 @@ def _of_way(scene: Scene) -> Iterator[str]:
         return
     shift, turn = (number(float(np.linalg.norm(part))) for part in np.split(first, 2))
     remedy = (
-        f"{traits.inverse} that is larger for shifts, or the law pbvs, does not"
+        f"{traits.inverse} that is larger for shifts, or a law of the pose, does not"
         if traits.prior
-        else f"smaller {traits.inverse}, or the law pbvs, does not"
+        else f"smaller {traits.inverse}, or a law of the pose, does not"
     )
     yield (
         f"controller.{law}.{traits.inverse}: the law first goes to a pose {shift} m and {turn} rad from home, where "
