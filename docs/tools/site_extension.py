@@ -9,6 +9,7 @@ from __future__ import annotations
 import html
 import posixpath
 import re
+from functools import cache
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -65,6 +66,7 @@ def inside(folder: Path) -> list[str]:
     return sorted(each.name for each in folder.iterdir() if not each.name.startswith((".", "__pycache__")))
 
 
+@cache
 def write_source_pages(site: Path, path: str) -> None:
     """Write the page of a file or folder, and those of all that is in a folder."""
     written = site / FOLDER / f"{path}.html"

@@ -644,6 +644,16 @@ def test_bad_variations_are_refused_with_a_message(paper: hs.Scenario, variation
         hs.simulate_batch(paper, variations)
 
 
+def test_the_limit_of_a_result_counts_all_that_it_has(paper: hs.Scenario) -> None:
+    with pytest.raises(ValueError, match=r"^log: ") as error:
+        hs.simulate_batch(paper, {"robot.mass": np.full(8_000_000, 0.06)}, log="metrics")
+    counted = re.search(r"8000000 scenarios of (\d+) bytes", str(error.value))
+    batch = hs.simulate_batch(paper.updated({"simulation.duration": 1.1}), {"robot.mass": [0.06] * 3}, log="metrics")
+    held = [batch.outcome, batch.cause, batch.limit_leg, batch.end_time, batch.stop_time, *batch.metrics.values()]
+    assert counted
+    assert int(counted[1]) == sum(array.nbytes for array in held) / 3 + 2  # codes of outcome and cause, while it runs
+
+
 def test_a_gain_without_effect_is_refused_in_every_row() -> None:
     scenario, key = hs.load_scenario("reachy-mini"), "controller.resolved_rate.ki"
     default = list(scenario.controller.gains.ki)

@@ -142,7 +142,7 @@ def _of_goal(scene: Scene) -> Iterator[str]:
         yield f"target.desired_features: the goal is out of reach: {reach.nearest.beyond}"
     if scene.settled_start is not None:
         yield (
-            f"metrics.band: the start is within {quantity(scene.band, 'px')} of the goal "
+            f"metrics.band: the start is within {number(scene.band)} px of the goal "
             f"({number(scene.settled_start)} px), so that a run that stays there counts as settled without a motion; "
             "a narrower band shows whether the law gets to the goal"
         )

@@ -225,14 +225,10 @@ def _of_way(scene: Scene) -> Iterator[str]:
     if limit.within:
         return
     shift, turn = (number(float(np.linalg.norm(part))) for part in np.split(first, 2))
-    remedy = (
-        f"{traits.inverse} that is larger for shifts, or a law of the pose, does not"
-        if traits.prior
-        else f"smaller {traits.inverse}, or a law of the pose, does not"
-    )
+    remedy = f"{traits.inverse} that is larger for shifts" if traits.prior else f"smaller {traits.inverse}"
     yield (
         f"controller.{law}.{traits.inverse}: the law first goes to a pose {shift} m and {turn} rad from home, where "
-        f"{limit.beyond}, although the legs reach the goal; a {remedy}"
+        f"{limit.beyond}, although the legs reach the goal; a {remedy}, or a law of the pose, does not"
     )
 
 

@@ -95,6 +95,6 @@ def _of_load(scene: Scene) -> Iterator[str]:
     load, known = scene.scenario.robot.payload.mass, scene.body.mass
     if load > _LOAD * known:
         yield (
-            f"robot.payload.known: false with a load of {quantity(load, 'kg')}, {load / known:.0%} of the "
-            f"{quantity(known, 'kg')} that the controller assumes; its weight is an error that the law has to hold"
+            f"robot.payload.known: false with a load of {number(load)} kg, {load / known:.0%} of the "
+            f"{number(known)} kg that the controller assumes; its weight is an error that the law has to hold"
         )

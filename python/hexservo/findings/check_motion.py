@@ -63,9 +63,8 @@ def _of_gravity(scenario: Scenario) -> Iterator[str]:
     motion = scenario.base_motion
     if motion.kind != "recorded" or motion.samples is None or motion.sample_period is None:
         return
-    with np.errstate(over="ignore"):
-        mean = np.mean(motion.samples, axis=0)
-        size = float(np.linalg.norm(mean))
+    mean = np.mean(motion.samples, axis=0)
+    size = float(np.linalg.norm(mean))
     if size <= _MEAN_ACCELERATION:
         return
     duration = len(motion.samples) * motion.sample_period
@@ -120,8 +119,8 @@ def _coarse_acceleration(attitudes: Array, period: float) -> Array:
 
 
 def _rms(vectors: Array) -> float:
-    """Return the RMS length of vectors, 0 of none."""
-    return float(np.sqrt(np.mean(np.sum(np.square(vectors), axis=1)))) if len(vectors) else 0.0
+    """Return the RMS length of vectors."""
+    return float(np.sqrt(np.mean(np.sum(np.square(vectors), axis=1))))
 
 
 def _of_positions(scenario: Scenario) -> Iterator[str]:

@@ -118,12 +118,13 @@ def camera_from_file(path: str | os.PathLike[str]) -> dict[str, Any]:
 
     The camera matrix is ``camera_matrix``, ``cameraMatrix``, ``K``, ``k`` or ``mtx``, also as nine numbers in a row;
     the coefficients are ``distortion_coefficients``, ``dist_coeffs``, ``D`` or another of their usual names; the size
-    is ``image_width`` and ``image_height``, or ``width`` and ``height``. ``distortion_model``, or another key with
-    ``model`` in its name, is a name of the model of Brown and Conrady (``plumb_bob``, ``radtan``,
-    ``rational_polynomial`` with zeros from k4 on) or, as ``fisheye_model: 1``, of that of Kannala and Brandt
-    (``fisheye``, ``equidistant``), in any case. Other keys do not count, but those that seem to have a second matrix or
-    coefficients of the lens (``coeffs``, ``k1``, ``intrinsics``) are refused, and so are an image that is binned
-    (``binning_x``, ``binning_y``) and one that is a part of the calibrated one (``roi``).
+    is ``image_width`` and ``image_height``, or ``width`` and ``height``. ``distortion_model`` or ``lens_model``
+    is a name of the model of Brown and Conrady (``plumb_bob``, ``radtan``, ``rational_polynomial`` with zeros from k4
+    on) or, as ``fisheye_model: 1``, of that of Kannala and Brandt (``fisheye``, ``equidistant``), in any case; another
+    key with ``model`` or ``type`` in its name counts where its value is the model of a lens. Other keys do not
+    count, but those that seem to have a second matrix or coefficients of the lens (``coeffs``, ``k1``, ``intrinsics``)
+    are refused, and so are an image that is binned (``binning_x``, ``binning_y``) and one that is a part of the
+    calibrated one (``roi``).
 
     Raises
     ------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from hexservo import _core
 from hexservo.scenario.blocks import Blocks, Target
 from hexservo.scenario.motion import BaseMotion
 from hexservo.scenario.parameters import core_settings
-from hexservo.scenario.plain import plain
+from hexservo.scenario.plain import plain, put
 from hexservo.scenario.recording import kinematic
 from hexservo.scenario.rules import Vector
 from hexservo.scenario.tag import corners, nodes, normal, rotation_matrix
@@ -60,19 +61,27 @@ def read_motion(scenario: Blocks) -> None:
     scenario.__dict__["base_motion"] = BaseMotion.model_validate(plain({**dict(motion), **changes}))
 
 
-def problem_of_recording(held: Any, given: Any) -> str | None:
+def problem_of_recording(held: Any, changes: Mapping[str, Any]) -> str | None:
     """Return what is wrong with changes to a base's recording that was read; None where nothing is.
 
     Accelerations that were read are kinematic, and whether gravity was ever in them is not known any more.
 
     Parameters
     ----------
-    held, given
-        Block `base_motion` as it is, and the keys of it that change, as plain data.
+    held
+        Block `base_motion` as it is, as plain data.
+    changes
+        Of the scenario, by dotted key.
     """
-    if not isinstance(held, dict) or not isinstance(given, dict) or held.get("samples") is None:
+    if not isinstance(held, dict) or held.get("samples") is None:
         return None
     if held.get("frame_of_acceleration", "kinematic") != "kinematic":  # not read yet
+        return None
+    blocks: dict[str, Any] = {}
+    for path, value in plain(changes).items():
+        put(blocks, path, value)
+    given = blocks.get("base_motion")
+    if not isinstance(given, dict):
         return None
     new = next((key for key in ("file", "samples") if given.get(key) is not None), None)
     frame = given.get("frame_of_acceleration")

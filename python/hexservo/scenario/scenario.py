@@ -87,10 +87,10 @@ class Scenario(Blocks):
     def _refuse_keys_without_effect(self) -> None:
         if self.simulation.mode == SAMPLED_MODE:
             idle = idle_gains(self)  # most have none, and need not fit their gains here
-            for key in idle and idle.intersection(chosen_keys(self)):
+            if given := idle and sorted(idle.intersection(chosen_keys(self))):
                 raise ValueError(
-                    f"controller.{self.controller.law}.{key}: has no effect where actuators.kind is not force, since "
-                    "the legs follow the commanded twist by themselves; drop it"
+                    f"controller.{self.controller.law}.{given[0]}: has no effect where actuators.kind is not force, "
+                    "since the legs follow the commanded twist by themselves; drop it"
                 )
             return
         given = [key for key, default in sampled_keys().items() if value_at(self, key) != default]
@@ -295,10 +295,7 @@ def _require_mapping(changes: object) -> None:
 
 def _changed(keys: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     """Put changes by dotted key into a scenario's keys (changed in place)."""
-    alone: dict[str, Any] = {}
-    for path, value in plain(changes).items():
-        put(alone, path, value)
-    of_recording = problem_of_recording(keys.get("base_motion"), alone.get("base_motion"))
+    of_recording = problem_of_recording(keys.get("base_motion"), changes)
     problems = [problem for path, value in plain(changes).items() if (problem := put(keys, path, value))]
     if of_recording is not None:
         problems.append(of_recording)

@@ -34,10 +34,8 @@ def quantity(value: float, unit: str, digits: int = 3) -> str:
     """Write a number with its SI unit, in thousandths, millionths or billionths where it is less than one.
 
     "17 mm", "4.87 m", "277 mrad": one to three digits stand before the point. What is less than a billionth has an
-    exponent: "2.6e-22 J". Kilograms have their prefix already, and pixels are whole: "0.05 kg", "0.5 px".
+    exponent: "2.6e-22 J".
     """
-    if unit in ("kg", "px"):
-        return f"{number(value, digits)} {unit}"
     size = abs(float(f"{value:.{digits}g}"))
     prefix, scale = next((each for each in _PREFIXES if size * each[1] >= 1.0), _PREFIXES[0])
     return f"{number(value * scale, digits)} {prefix}{unit}"
