@@ -2,8 +2,8 @@
 import uPlot from "uplot";
 import { drawBounds, drawErrors, drawSettling } from "./behind.js";
 import { element } from "./controls.js";
-import { axisNumber, readable } from "./format.js";
-import { colours, lookOf, strip } from "./view.js";
+import { axisNumber, readable, short } from "./format.js";
+import { colours, lookOf, strip, write } from "./view.js";
 
 const AXES = ["x", "y", "z", "about x", "about y", "about z"];
 const legs = (_, i) => `leg ${i + 1}`;
@@ -34,6 +34,7 @@ export class Chart {
     this.figure = figure;
     this.pick = pick;
     this.now = 0;
+    this.row = 0;
     this.note = element("small", { class: "ghost" }, "pale: the preset");
     box.parentElement.querySelector("figcaption").append(this.note);
     new ResizeObserver(() => this.plot?.setSize(this.size())).observe(box);
@@ -101,6 +102,7 @@ export class Chart {
         hooks: {
           drawAxes: [(plot) => this.behind(plot)],
           draw: [(plot) => this.line(plot)],
+          setCursor: [() => this.tell()],
           ready: [(plot) => plot.over.addEventListener("click", () => plot.cursor.left >= 0 && this.pick(plot.posToVal(plot.cursor.left, "x")))],
         },
       },
@@ -112,13 +114,11 @@ export class Chart {
     this.legend?.remove();
     this.legend = document.createElement("div");
     this.legend.className = "legend";
+    this.when = element("i");
+    this.values = series.map(() => element("b"));
     this.legend.append(
-      ...series.map(({ label, ...look }) => {
-        const item = document.createElement("span");
-        item.textContent = label;
-        item.style.setProperty("--colour", strip(look));
-        return item;
-      }),
+      this.when,
+      ...series.map(({ label, ...look }, i) => element("span", { style: `--colour: ${strip(look)}` }, label, this.values[i])),
     );
     this.note.hidden = !FIGURES[this.figure].isOfErrors;
     this.box.after(this.legend);
@@ -146,8 +146,19 @@ export class Chart {
     plot.ctx.restore();
   }
 
-  at(time) {
+  /** The values where the pointer is, in any of the charts, else those of now. */
+  tell() {
+    const { data, cursor } = this.plot;
+    const row = cursor.idx ?? this.row;
+    write(this.when, `${data[0][row].toFixed(3)} s`);
+    this.values.forEach((value, i) => write(value, short(data[i + 1][row], 3)));
+  }
+
+  /** @param {number} time of now [s], and its row of the samples */
+  at(time, row) {
     this.now = time;
+    this.row = row;
     this.plot?.redraw(false);
+    if (this.plot) this.tell();
   }
 }

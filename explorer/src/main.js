@@ -178,7 +178,7 @@ function at(next) {
   const time = result.samples.time[row];
   image.draw(row);
   scene.draw(row);
-  for (const chart of charts) chart.at(time);
+  for (const chart of charts) chart.at(time, row);
   $("time").value = share;
   write($("now"), `${time.toFixed(3)} s`);
   $("time").setAttribute("aria-valuetext", `${time.toFixed(3)} seconds`);

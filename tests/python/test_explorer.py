@@ -1354,6 +1354,38 @@ def test_lines_of_a_point_have_its_colour_in_the_image(visit: Visit) -> None:
     assert all(dots[0] in look for look in (*looks[:2], *looks[16:]))
 
 
+@in_browser
+def test_charts_tell_the_values_where_the_pointer_is_and_else_those_of_now(visit: Visit) -> None:
+    page = visit.page
+    samples = {
+        name: np.array(page.evaluate(f"Array.from(explorer.result.samples.{name})"))
+        for name in ("time", "feature_error", "wrench")
+    }
+    errors, wrench = (samples[name].reshape(len(samples["time"]), -1) for name in ("feature_error", "wrench"))
+    weight = np.array(page.evaluate("explorer.result.weight"))
+
+    def check() -> float:
+        told = [page.locator(f"#chart-{chart} + .legend").locator("i, b").all_inner_texts() for chart in (0, 1)]
+        assert told[0][0] == told[1][0], "all charts tell of one time"
+        time = float(told[0][0].removesuffix(" s"))
+        row = int(np.argmin(abs(samples["time"] - time)))
+        np.testing.assert_allclose([float(text) for text in told[0][1:]], errors[row], rtol=5e-3)
+        np.testing.assert_allclose([float(text) for text in told[1][1:]], wrench[row, :3] - weight, rtol=5e-2)
+        return time
+
+    assert check() == samples["time"][-1]
+    page.locator("#chart-0").scroll_into_view_if_needed()
+    box = page.locator("#chart-0 .u-over").bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + 0.3 * box["width"], box["y"] + 0.5 * box["height"])
+    end = page.evaluate("explorer.result.shown")
+    assert check() == pytest.approx(0.3 * end, abs=1.5 * end / box["width"])
+    page.mouse.move(1, 1)
+    page.locator("#time").fill("0.02")
+    assert check() == pytest.approx(0.1, abs=samples["time"][1])
+    assert page.locator("#now").inner_text() == page.locator("#chart-0 + .legend i").inner_text()
+
+
 def looks_of(page: Page, chart: int) -> list[str]:
     """Return the colours of a chart's lines, or the pictures of those that are dashed, as its legend shows them."""
     lines = page.locator(f"#chart-{chart} + .legend span")
