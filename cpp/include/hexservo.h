@@ -31,7 +31,7 @@
 #include <stdint.h>
 
 /** Changes with anything here that a program compiled before would misunderstand; see `hexservo_interface`. */
-#define HEXSERVO_INTERFACE 2
+#define HEXSERVO_INTERFACE 3
 
 #if defined(__GNUC__) || defined(__clang__)
 #define HEXSERVO_API __attribute__((visibility("default")))
@@ -261,7 +261,7 @@ typedef struct hexservo_input {
   double now;             /**< time of the tick, by a clock that never goes back [s] */
   double exposure;        /**< of the frame, by the same clock; NaN: no frame arrived since the last tick */
   const double* features; /**< 2 per point, pixels as the camera counts them, NaN: not seen; null: no frame */
-  const double* depth;    /**< 1 per point, at the exposure, negative in front of the camera [m]; null: no frame */
+  const double* depth;    /**< 1 per point, at the exposure, negative in front of the camera [m]; null: none is known */
   double position[3];     /**< of the platform in B [m], where `sensors.pose` is true; as the next two */
   double quaternion[4];   /**< w x y z, of any length but zero */
   double twist[6];        /**< in B [m/s; rad/s] */

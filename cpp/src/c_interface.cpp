@@ -613,7 +613,7 @@ void hexservo_tick(const hexservo_gains* gains, hexservo_state* state, const hex
   constexpr double kNone = std::numeric_limits<double>::quiet_NaN();  // no frame
   const ControllerInputOf<kMostPoints> taken{
       input->now,
-      {input->features != nullptr && input->depth != nullptr ? input->exposure : kNone,
+      {input->features != nullptr ? input->exposure : kNone,
        {read<2 * kMostPoints>(input->features, 2 * gains->points), read<kMostPoints>(input->depth, gains->points)}},
       {read<3>(input->position), read<4>(input->quaternion)},
       read<6>(input->twist),

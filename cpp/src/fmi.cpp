@@ -16,6 +16,7 @@
 
 #include <algorithm>
 #include <array>
+#include <charconv>
 #include <cmath>
 #include <cstdint>
 #include <cstdio>
@@ -395,6 +396,7 @@ class Unit {
     const Variable& variable = variable_at(reference, type);
     if (variable.role == Role::input) {
       inputs_[variable.name][variable.index] = number;
+      if (!is_initialised()) model_.reset();  // whose outputs depend on it
       return;
     }
     require_free(variable);
@@ -436,7 +438,9 @@ class Unit {
       return;
     }
     Variable variable;
-    if (first != "time") {
+    if (first == "time") {
+      variable.name = first;
+    } else {
       variable.role = first == "parameter" ? Role::parameter : first == "input" ? Role::input : Role::output;
       words >> type >> variable.name >> variable.index;
       variable.type = type == "real"    ? Type::real
@@ -560,15 +564,21 @@ Status set_texts(void* instance, const Reference* references, std::size_t count,
   });
 }
 
-/// The path of a URI file:///path or file:/path, with its %20 and the like.
+/// The path of a URI file:///path or file:/path, with its %20 and the like; what is no such URI as it stands.
 std::string path_of(const char* uri) {
   std::string text = uri == nullptr ? "" : uri;
-  if (text.starts_with("file:")) text.erase(0, text.starts_with("file://") ? 7 : 5);
-  text.erase(0, text.find('/'));  // a host
+  if (text.starts_with("file://"))
+    text.erase(0, std::min(text.find('/', 7), text.size()));  // with the host
+  else if (text.starts_with("file:"))
+    text.erase(0, 5);
+  else
+    return text;
   std::string path;
   for (std::size_t i = 0; i < text.size(); ++i) {
-    if (text[i] == '%' && i + 2 < text.size()) {
-      path += static_cast<char>(std::stoi(text.substr(i + 1, 2), nullptr, 16));
+    unsigned char byte = 0;
+    const char* const digits = text.data() + i + 1;
+    if (text[i] == '%' && i + 2 < text.size() && std::from_chars(digits, digits + 2, byte, 16).ptr == digits + 2) {
+      path += static_cast<char>(byte);
       i += 2;
     } else {
       path += text[i];

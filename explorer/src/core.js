@@ -22,7 +22,7 @@ export const QUANTITIES = [
   "leg_forces",
 ];
 
-const INTERFACE = 2;
+const INTERFACE = 3;
 const MOST_REFUSALS = 300;
 const SCRATCH_BYTES = 65536;
 const MOST_LETTERS = 1024; // of a key's text: names, and a number of 64 bits

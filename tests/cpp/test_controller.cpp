@@ -297,6 +297,51 @@ TEST_CASE("every law: NaN or infinity in any entry gives the safe output, and go
   });
 }
 
+TEST_CASE("a reading that is wrong by itself is not held, whichever of the first three without the law it is") {
+  Settings settings = settings_for(SwitchingKind::tanh);
+  settings.controller.safe.hold << 200.0, 200.0, 200.0, 2.0, 2.0, 2.0;
+  const Gains gains = controller_gains<Hybrid>(settings, kPeriod);
+  Random random(79);
+  CAPTURE(random.seed());
+  const ControllerInput seen = seen_input(random, gains);
+  for (int wrong = 0; wrong < 4; ++wrong) {
+    CAPTURE(wrong);
+    State state = initial_state(gains);
+    ControllerInput input = seen;
+    input.now = input.frame.exposure = 0.0;
+    REQUIRE_FALSE(step(gains, state, input).invalid_input());
+    const Pose<double> rest = input.pose;
+    for (int tick = 1; tick <= 20; ++tick) {
+      CAPTURE(tick);
+      input.now = input.frame.exposure = tick;
+      input.frame.image.depth(0) = 1.0;  // behind the camera
+      input.twist.setZero();
+      input.pose = rest;
+      if (tick == wrong + 1) {  // off by 50 mm, and turned the other way about
+        input.pose.position(0) += 0.05;
+        input.pose.quaternion(1) *= -1.0;
+      }
+      const ControllerOutput out = step(gains, state, input);
+      REQUIRE(out.invalid_input());
+      if (tick >= 3 && tick != wrong + 1)
+        CHECK(distance(out.wrench, gravity_wrench(gains.body, rotation_matrix(rest.quaternion))) <= 1e-13);
+    }
+  }
+}
+
+TEST_CASE("a clock that stands still for long stops the law, whatever the sensors are") {
+  const Gains gains = controller_gains<Hybrid>(settings_for(SwitchingKind::sign), kPeriod);
+  State state = initial_state(gains);
+  Random random(80);
+  CAPTURE(random.seed());
+  ControllerInput input = random_input(random, gains);
+  input.now = input.frame.exposure = 5.0;
+  for (std::size_t tick = 0; tick < 40; ++tick)
+    REQUIRE(step(gains, state, input).invalid_input() == (tick > kStandingTicks));
+  input.now = 6.0;
+  REQUIRE_FALSE(step(gains, state, input).invalid_input());
+}
+
 TEST_CASE("overflow, values beyond the limits of divergence and points behind the camera give the safe output") {
   const Gains gains = controller_gains<Hybrid>(settings_for(SwitchingKind::saturation), kPeriod);
   Random random(74);

@@ -292,6 +292,49 @@ TEST_CASE("a feature outside of the image is lost: it is held, predicted or ends
   }
 }
 
+TEST_CASE("a point beyond the gate from where the joints expect it is lost, until its last image is too old") {
+  const Pose<double> moved{Vector3<double>(0.01, 0.0, 0.0), {1.0, 0.0, 0.0, 0.0}};
+  const double shift = -kFocal * 0.01 / 0.5;  // of every feature, far beyond the gate
+  for (const LostFeature policy : {LostFeature::hold, LostFeature::predict, LostFeature::stop}) {
+    CAPTURE(static_cast<int>(policy));
+    FrameSettings<double> settings = timing(1, 0);
+    settings.prediction = Prediction::encoder;
+    settings.on_lost = policy;
+    settings.gate = 5.0;
+    settings.timeout = 6.0;
+    Eye eye(settings);
+    Image<double> image;
+    image.features << 10, 10, 40, 0, -20, 20, 0, -30;
+    image.depth.setConstant(-0.5);
+    const auto exchanged_in = [](Image<double> right) {
+      right.features.segment<2>(0).swap(right.features.segment<2>(2));
+      return right;
+    };
+    eye.tick(0, exchanged_in(image));  // one image by itself is not believed
+    REQUIRE_FALSE(eye.seen().complete);
+    eye.tick(1, image);
+    REQUIRE_FALSE(eye.seen().complete);
+    REQUIRE_FALSE(eye.seen().lost);
+    for (int i = 0; i < 4; ++i) image.features(2 * i) += shift;
+    image.features(0) += 4.9;  // within it
+    eye.tick(2, image, moved);
+    REQUIRE(eye.ready());
+    REQUIRE(distance(eye.image().features, image.features) <= 1e-12);
+
+    const Image<double> exchanged = exchanged_in(image);
+    for (int tick = 3; tick <= 8; ++tick) {
+      CAPTURE(tick);
+      eye.tick(tick, exchanged, moved);
+      REQUIRE(eye.ready() == (policy != LostFeature::stop));
+      REQUIRE_FALSE(eye.seen().whole);
+      REQUIRE(distance(eye.image().features, image.features) <= 1e-12);
+    }
+    eye.tick(9, exchanged, moved);
+    REQUIRE(eye.ready());
+    REQUIRE(distance(eye.image().features, exchanged.features) <= 1e-12);
+  }
+}
+
 TEST_CASE("a point that was never seen leaves the law without an image") {
   FrameSettings<double> settings = timing(1, 0);
   settings.image_size = {100.0, 100.0};

@@ -101,7 +101,7 @@ static int tick(hexservo_scenario* scenario, long ticks) {
   hexservo_gains* gains;
   hexservo_state* state;
   hexservo_input input;
-  hexservo_output output, without[2];
+  hexservo_output output, without[3];
   double *features, *depth, sum[18] = {0};
   size_t points, count, i;
   unsigned long before;
@@ -154,19 +154,21 @@ static int tick(hexservo_scenario* scenario, long ticks) {
     }
     if (k % 100 == 99) print("tick", sum, 18);
   }
-  /* An input without depths has no frame, whatever its exposure. */
-  for (i = 0; ticks > 0 && i < 2; ++i) {
+  /* An input without features has no frame, whatever its exposure; features without depths are not to be used. */
+  for (i = 0; ticks > 0 && i < 3; ++i) {
     state = hexservo_state_create(gains);
     if (state == NULL) return 3;
+    input.features = features;
     input.depth = depth;
     input.now = input.exposure = 0.0;
     hexservo_tick(gains, state, &input, &output);
+    if (i < 2) input.features = NULL;
     input.depth = NULL;
     input.now = hexservo_gains_period(gains);
     input.exposure = i == 0 ? NAN : input.now;
     hexservo_tick(gains, state, &input, &without[i]);
     hexservo_state_destroy(state);
-    if (without[i].status != HEXSERVO_VALID) return 7;
+    if (without[i].status != (i < 2 ? HEXSERVO_VALID : HEXSERVO_UNUSABLE)) return 7;
   }
   if (ticks > 0 && memcmp(without[0].wrench, without[1].wrench, sizeof output.wrench) != 0) return 7;
   free(features);

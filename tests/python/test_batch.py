@@ -61,6 +61,7 @@ SAMPLED_ROWS: dict[str, list[Any]] = {  # the first is what `sampled` has
     "camera.outlier_size": [1.0, 2.0, 0.0],
     "camera.smoothing": [0.0, 0.01, 0.1],
     "camera.image_size": [[132.0, 131.0], [160.0, 160.0], [131.0, 500.0]],
+    "camera.gate": [0.5, 5.0, 50.0],
     "uncertainty.latency": [0.0, 0.004, -0.002],
     "sensors.resolution": [1e-6, 1e-5, 0.0],
     "sensors.noise": [1e-6, 2e-6, 0.0],

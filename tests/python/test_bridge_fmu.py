@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import re
 import shutil
 import subprocess
@@ -558,6 +559,32 @@ def test_before_its_first_tick_a_controller_holds_the_machine(make: Any, fmi: in
     assert unit.step(scenario.simulation.step)
     for name, count in names.items():
         np.testing.assert_array_equal(unit.get(name, count), first[name])
+
+
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_outputs_before_the_first_tick_follow_the_inputs(make: Any, fmi: int) -> None:
+    """A master asks for outputs while it finds the inputs of the start: the legs stay where they are."""
+    unit = make(hs.load_scenario("pi-h824-positions"), fmi, "controller").instance()
+    home = unit.get("leg_positions", 6)
+    unit.put("leg_lengths", home + 1e-3)
+    np.testing.assert_allclose(unit.get("leg_positions", 6), home + 1e-3, rtol=0.0, atol=1e-12)
+    unit.start()
+    np.testing.assert_allclose(unit.get("leg_positions", 6), home + 1e-3, rtol=0.0, atol=1e-12)
+
+
+def test_a_folder_that_is_no_uri_is_named(make: Any) -> None:
+    """What is no escape of a URI stands for itself; what cannot be read is logged."""
+    made = make(hs.load_scenario("paper"), 2)
+    library = ctypes.CDLL(str(next(Path(made.folder).rglob("*.so"))))
+    logger = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 2, ctypes.c_int, *[ctypes.c_char_p] * 3)
+    messages: list[bytes] = []
+    log = logger(lambda *arguments: messages.append(arguments[5]))
+    pointers = (ctypes.c_void_p * 5)(ctypes.cast(log, ctypes.c_void_p), None, None, None, None)
+    library.fmi2Instantiate.restype = ctypes.c_void_p
+    for uri in (b"file:///nope/%zz", b"file:///nope/%2", b"nope", b"file://host"):
+        assert library.fmi2Instantiate(b"one", 1, b"", uri, pointers, 0, 0) is None
+    print(messages)
+    assert len(messages) == 4
 
 
 def test_a_refused_duration_is_named(make: Any) -> None:

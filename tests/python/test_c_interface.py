@@ -241,6 +241,46 @@ def client(path: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return program
 
 
+LAYOUTS = {
+    3: {
+        "hexservo_scene": "base_joints 0 platform_joints 144 home_position 288 home_quaternion 312 camera_position 344 "
+        "camera_attitude 368 focal 440 camera_on_base 448 size 456",
+        "hexservo_gains_memory": "place 0 size 12288",
+        "hexservo_state_memory": "place 0 size 36864",
+        "hexservo_input": "now 0 exposure 8 features 16 depth 24 position 32 quaternion 56 twist 88 leg_lengths 136 "
+        "leg_rates 184 size 232",
+        "hexservo_output": "wrench 0 leg_forces 48 fuzzy_output 96 status 144 saturated 148 leg_positions 152 "
+        "latency 200 size 224",
+    }
+}  # of each interface, where a pointer has 8 bytes
+
+
+def test_structs_are_those_of_the_number_of_the_interface(library: ctypes.CDLL, tmp_path: Path) -> None:
+    """A program that was compiled with another layout is told by the number alone: change both, or neither."""
+    compiler = shutil.which("cc") or shutil.which("gcc")
+    if compiler is None:
+        pytest.skip("no C compiler is installed")
+    text = HEADER.read_text(encoding="utf-8")
+    structs = re.findall(r"^typedef struct (\w+) \{\n(.*?)^\} \1;", text, re.DOTALL | re.MULTILINE)
+    lines = []
+    for name, body in structs:
+        members = re.findall(r"(\w+)(?:\[\d+\])*;", re.sub(r"/\*.*?\*/", "", body, flags=re.DOTALL))
+        lines += [f'printf("{name}");', *(f'printf(" {m} %zu", offsetof({name}, {m}));' for m in members)]
+        lines.append(f'printf(" size %zu\\n", sizeof({name}));')
+    source = tmp_path / "layout.c"
+    source.write_text(
+        "#include <hexservo.h>\n#include <stdio.h>\nint main(void) {\n" + "\n".join(lines) + "\nreturn 0; }\n",
+        encoding="utf-8",
+    )
+    command = [compiler, "-std=c99", "-I", str(HEADER.parent), str(source), "-o", str(tmp_path / "layout")]
+    subprocess.run(command, check=True)
+    found = subprocess.run([str(tmp_path / "layout")], capture_output=True, text=True, check=True).stdout
+    layout = dict(line.split(" ", 1) for line in found.splitlines())
+    assert ctypes.sizeof(ctypes.c_void_p) == 8
+    assert layout == LAYOUTS[library.hexservo_interface()]
+    assert list(LAYOUTS) == [library.hexservo_interface()], "the one number that the header has"
+
+
 def test_the_program_of_the_page_runs(path: Path, tmp_path: Path) -> None:
     compiler = shutil.which("cc") or shutil.which("gcc")
     if compiler is None:

@@ -37,6 +37,7 @@ SAMPLED: dict[str, Any] = {
     "camera.image_size": [200.0, 200.0],
     "camera.on_lost": "stop",
     "camera.prediction": "encoder",
+    "camera.gate": 50.0,
     "sensors.pose": "encoders",
     "sensors.rate": True,
     "sensors.resolution": 1e-6,

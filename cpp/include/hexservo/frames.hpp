@@ -43,6 +43,8 @@ struct FrameFaults {
   Vector2<S> image_size = Vector2<S>::Constant(S(std::numeric_limits<double>::infinity()));  ///< width, height [px]
   LostFeature on_lost = LostFeature::hold;
   Prediction prediction = Prediction::none;
+  /// How far a point may be from where it is expected; one that is farther counts as not seen [px].
+  S gate = S(std::numeric_limits<double>::infinity());
 
   template <class V, class... Self>
   static void visit(V&& v, Self&... self) {
@@ -55,6 +57,7 @@ struct FrameFaults {
     v(Field{"image_size", "px", kPositiveOrNone}.entrywise().of_plant().in_sampled_mode(), self.image_size...);
     v(Field{"on_lost"}.of_pack().in_sampled_mode(), self.on_lost...);
     v(Field{"prediction"}.of_pack().in_sampled_mode(), self.prediction...);
+    v(Field{"gate", "px", kPositiveOrNone}.in_sampled_mode(), self.gate...);
   }
 };
 

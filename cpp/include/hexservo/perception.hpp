@@ -268,7 +268,6 @@ class Perception {
                       std::pmr::memory_resource* memory = std::pmr::get_default_resource())
       : reads_legs_(sensing.pose_source == PoseSource::encoders),
         history_(lifts_points(sensing.frames) ? 2 + oldest_stamp(sensing.frames) + sensing.frames.period : 0, memory) {
-    constexpr double kInfinity = std::numeric_limits<double>::infinity();
     now_.image.features.setZero();  // of no consequence but finite
     now_.image.depth.setConstant(S(-1.0));
     now_.pose = home_pose(sensing.hexapod);
@@ -281,24 +280,26 @@ class Perception {
     seen_at_.setConstant(S(-kInfinity));
     lost_.setZero();
     points_T_.setZero();
+    candidate_at_.setConstant(S(-kInfinity));
+    candidates_T_.setZero();
     lengths_.setZero();
   }
 
   /// Takes over what the sensors gave.
   void update(const Sensing<S, N>& sensing, const SensorInput<S, N>& input) noexcept {
-    follow_clock(sensing, input.now);
+    follow_clock(input.now);
     sense_joints(sensing, input);
     if (lifts_points(sensing.frames) && any(now_.usable & now_.joints))
       history_.add(input.now, now_.pose, now_.usable & now_.joints);
     receive(sensing, input);
     show(sensing);
 
-    S oldest(std::numeric_limits<double>::infinity()), lost(0.0);
+    S oldest(kInfinity), lost(0.0);
     for (int i = 0; i < N; ++i) {
       oldest = min(oldest, sensing.weights.where_counted(i, seen_at_(i), oldest));
       lost += sensing.weights.where_counted(i, lost_(i), S(0.0));
     }
-    now_.complete = oldest > S(-std::numeric_limits<double>::infinity());
+    now_.complete = oldest > S(-kInfinity);
     now_.fresh = S(input.now) - oldest <= sensing.frames.timeout + S(kTickTolerance);
     now_.whole = lost < S(0.5);
     now_.lost = Mask<S>(sensing.frames.on_lost == LostFeature::stop) & !now_.whole;
@@ -328,22 +329,24 @@ class Perception {
     f.finite(points_T_);
     f.time(seen_at_);
     f.finite(lost_);
+    f.finite(candidates_T_);
+    f.time(candidate_at_);
     f.finite(lengths_);
     f.time(read_at_);
     now_.legs.reset();  // of the pose before
   }
 
  private:
+  static constexpr double kInfinity = std::numeric_limits<double>::infinity();
+
   /// The joints are read at every tick, whether or not the clock is usable: where it fails, and where it comes back, a
-  /// period has passed since the tick before. One that stands still fails where a rate or an age depends on it.
-  void follow_clock(const Sensing<S, N>& sensing, double now) noexcept {
-    const bool first = clock_ == -std::numeric_limits<double>::infinity();
+  /// period has passed since the tick before. One that stands still for long fails as one that goes back does.
+  void follow_clock(double now) noexcept {
+    const bool first = clock_ == -kInfinity;
     const bool advances = std::isfinite(now) && now > clock_, stands = now == clock_ && !first;
     const double missed = clock_failed_ ? 1.0 : static_cast<double>(standing_) + 1.0;  // ticks that it did not count
     standing_ = stands ? std::min(standing_ + 1, kStandingTicks + 1) : 0;
-    const bool counts = sensing.pose_source == PoseSource::encoders ||
-                        any(sensing.frames.timeout < S(std::numeric_limits<double>::infinity()));
-    const bool usable = advances || (stands && (!counts || standing_ <= kStandingTicks));
+    const bool usable = advances || (stands && standing_ <= kStandingTicks);
     joint_time_ += !usable || clock_failed_ ? missed : first ? 0.0 : now - clock_;
     clock_failed_ = !usable;
     if (advances) clock_ = now;
@@ -372,7 +375,7 @@ class Perception {
     Mask<S> reads = lengths(0) == lengths(0);
     for (int i = 1; i < 6; ++i) reads = reads | (lengths(i) == lengths(i));
     if (!any(reads)) return;
-    const Mask<S> first = read_at_ == S(-std::numeric_limits<double>::infinity());
+    const Mask<S> first = read_at_ == S(-kInfinity);
     const S elapsed = select(first, S(0.0), S((S(joint_time_) - read_at_) * S(sensing.period)));
     // A platform may start anywhere; after that it moves.
     const S rounds = select(first, S(static_cast<double>(kKinematicsRounds)), encoder_rounds(elapsed));
@@ -435,19 +438,54 @@ class Perception {
                                   frame.image.depth(i));
         good = good & ((!shown[static_cast<std::size_t>(i)]) | is_finite(Vector3<S>(points_T.col(i))));
       }
+      if (any(sensing.frames.gate < S(kInfinity)))
+        leave_out_strangers(sensing, frame, covered & good, pose, R_BE, points_T, shown);
     }
     now_.usable = now_.usable & (good | (!covered));
     const Mask<S> taken = covered & good;
     now_.newest = select(taken, frame.exposure, now_.newest);
     for (int i = 0; i < N; ++i) {
       const Mask<S> seen = taken & shown[static_cast<std::size_t>(i)];
-      lost_(i) = select(taken, select(seen, S(0.0), S(1.0)), lost_(i));
+      // An image of a point that was never seen, and is still to be confirmed, is not the loss of one.
+      const Mask<S> waits = (candidate_at_(i) == frame.exposure) & (seen_at_(i) == S(-kInfinity));
+      lost_(i) = select(taken, select(seen | waits, S(0.0), S(1.0)), lost_(i));
       seen_at_(i) = select(seen, frame.exposure, seen_at_(i));
       for (int k = 2 * i; k < 2 * i + 2; ++k)
         held_.features(k) = select(seen, frame.image.features(k), held_.features(k));
       held_.depth(i) = select(seen, frame.image.depth(i), held_.depth(i));
       if (lifts_points(sensing.frames))
         for (int k = 0; k < 3; ++k) points_T_(k, i) = select(seen, points_T(k, i), points_T_(k, i));
+    }
+  }
+
+  /// Takes a point for not seen that is beyond the gate from where its last image expects it, as the joints have
+  /// carried that since. Where there is none, or it is older than the timeout, the first image that confirms the one
+  /// before is taken: an image by itself may be that of something else.
+  /// @param pose, R_BE, points_T of the frame; @param shown which points it shows
+  void leave_out_strangers(const Sensing<S, N>& sensing, const Frame<S, N>& frame, const Mask<S>& taken,
+                           const Pose<S>& pose, const Matrix3<S>& R_BE, const Eigen::Matrix<S, 3, N>& points_T,
+                           std::array<Mask<S>, static_cast<std::size_t>(N)>& shown) noexcept {
+    const Image<S, N> expected = take_image<S, N>(sensing.camera, pose.position, R_BE, points_T_);
+    const Image<S, N> proposed = take_image<S, N>(sensing.camera, pose.position, R_BE, candidates_T_);
+    for (int i = 0; i < N; ++i) {
+      const auto is_near = [&](const Image<S, N>& image) {
+        const S x = frame.image.features(2 * i) - image.features(2 * i);
+        const S y = frame.image.features(2 * i + 1) - image.features(2 * i + 1);
+        return Mask<S>(x * x + y * y <= sensing.frames.gate * sensing.frames.gate);
+      };
+      const auto is_recent = [&](const S& exposure) {
+        return Mask<S>((exposure > S(-kInfinity)) &
+                       (frame.exposure - exposure <= sensing.frames.timeout + S(kTickTolerance)));
+      };
+      const Mask<S> expects = is_recent(seen_at_(i));
+      const Mask<S> confirms = is_recent(candidate_at_(i)) & (frame.exposure > candidate_at_(i)) & is_near(proposed);
+      const Mask<S> known =
+          (expects & is_near(expected)) | ((!expects) & confirms) | (!(sensing.frames.gate < S(kInfinity)));
+      Mask<S>& here = shown[static_cast<std::size_t>(i)];
+      const Mask<S> is_candidate = taken & here & (!known);
+      candidate_at_(i) = select(is_candidate, frame.exposure, candidate_at_(i));
+      for (int k = 0; k < 3; ++k) candidates_T_(k, i) = select(is_candidate, points_T(k, i), candidates_T_(k, i));
+      here = here & known;
     }
   }
 
@@ -468,7 +506,7 @@ class Perception {
     const bool predicting = sensing.frames.prediction == Prediction::encoder;
     const Image<S, N> projected = take_image<S, N>(sensing.camera, now_.pose.position, now_.R_BE, points_T_);
     for (int i = 0; i < N; ++i) {
-      const Mask<S> lost = lost_(i) > S(0.5), never = seen_at_(i) == S(-std::numeric_limits<double>::infinity());
+      const Mask<S> lost = lost_(i) > S(0.5), never = seen_at_(i) == S(-kInfinity);
       const Mask<S> again =
           (!never) & (predicting ? (!lost) | Mask<S>(sensing.frames.on_lost != LostFeature::hold) : lost);
       for (int k = 2 * i; k < 2 * i + 2; ++k)
@@ -480,18 +518,20 @@ class Perception {
   }
 
   Perceived<S, N> now_;
-  bool reads_legs_;  ///< pose and twist are made of them, from those of the tick before
-  double clock_ = -std::numeric_limits<double>::infinity();  ///< newest time [ticks]
-  std::size_t standing_ = 0;                                 ///< ticks for which it has stood still
-  bool clock_failed_ = false;                                ///< at the tick before
-  double joint_time_ = 0.0;  ///< since the first tick, without what a clock fails [ticks]
+  bool reads_legs_;            ///< pose and twist are made of them, from those of the tick before
+  double clock_ = -kInfinity;  ///< newest time [ticks]
+  std::size_t standing_ = 0;   ///< ticks for which it has stood still
+  bool clock_failed_ = false;  ///< at the tick before
+  double joint_time_ = 0.0;    ///< since the first tick, without what a clock fails [ticks]
   PoseHistory<S> history_;
-  Image<S, N> held_;                 ///< last image of each point
-  Eigen::Matrix<S, 3, N> points_T_;  ///< the same, lifted [m]
-  Vector<S, N> seen_at_;             ///< its exposure [ticks]; -infinity where a point was never seen
-  Vector<S, N> lost_;                ///< 1 where the newest frame does not show a point
-  Vector6<S> lengths_;               ///< newest reading of the encoders [m]
-  S read_at_ = S(-std::numeric_limits<double>::infinity());  ///< its time, of `joint_time_`
+  Image<S, N> held_;                     ///< last image of each point
+  Eigen::Matrix<S, 3, N> points_T_;      ///< the same, lifted [m]
+  Vector<S, N> seen_at_;                 ///< its exposure [ticks]; -infinity where a point was never seen
+  Vector<S, N> lost_;                    ///< 1 where the newest frame does not show a point
+  Eigen::Matrix<S, 3, N> candidates_T_;  ///< newest images that the gate left out, lifted [m]
+  Vector<S, N> candidate_at_;            ///< their exposures [ticks]; -infinity where there is none
+  Vector6<S> lengths_;                   ///< newest reading of the encoders [m]
+  S read_at_ = S(-kInfinity);            ///< its time, of `joint_time_`
 };
 
 }  // namespace hexservo

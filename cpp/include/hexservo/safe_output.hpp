@@ -6,7 +6,8 @@
 ///
 /// K_s and K_h are diagonal as given, and multiples of D-bar where they are derived: with its diagonal alone the brake
 /// of a platform whose centre of mass is far off E's origin is unstable. chi_stop is the pose of the first tick of the
-/// stretch. Where pose or twist are not known either, tau = G, with the leg forces of the last pose that was.
+/// stretch, from its third one on the middle one of the first three: a reading that is wrong by itself is not held.
+/// Where pose or twist are not known either, tau = G, with the leg forces of the last pose that was.
 #pragma once
 
 #include "hexservo/commanded_motion.hpp"
@@ -46,15 +47,16 @@ template <class S, int N = kPoints>
 struct SafetyState {
   explicit SafetyState(const SafetyGains<S, N>& gains,
                        std::pmr::memory_resource* memory = std::pmr::get_default_resource())
-      : perception(gains, memory), last_pose(home_pose(gains.hexapod)), stop_pose(last_pose), braking(false) {
+      : perception(gains, memory), last_pose(home_pose(gains.hexapod)), stop_pose(last_pose), later_pose(last_pose) {
     motion.acts = gains.motion.acts;
     motion.pose = last_pose;
   }
 
   Perception<S, N> perception;
-  Pose<S> last_pose;  ///< the last one that was known and not singular; home before the first
-  Pose<S> stop_pose;  ///< chi_stop
-  Mask<S> braking;    ///< where the tick before had no law either
+  Pose<S> last_pose;   ///< the last one that was known and not singular; home before the first
+  Pose<S> stop_pose;   ///< chi_stop
+  Pose<S> later_pose;  ///< of the second tick of a stretch without the law
+  S braked{0.0};       ///< ticks of that stretch at which the pose was known; 0 where the law acts
   CommandedMotion<S> motion;
   Perceived<S, N> carried{};  ///< what a virtual platform sees, where there is one; computed at each tick
 
@@ -66,7 +68,9 @@ struct SafetyState {
     f.finite(last_pose.quaternion);
     f.finite(stop_pose.position);
     f.finite(stop_pose.quaternion);
-    f(braking);
+    f.finite(later_pose.position);
+    f.finite(later_pose.quaternion);
+    f.finite(braked);
     motion.for_each_member(f);
   }
 };
@@ -92,9 +96,13 @@ template <class S, int N>
                                               Command<S>& out) noexcept {
   const Perceived<S, N>& seen = state.perception.now();
   const Mask<S> known = seen.joints & (!out.singular);
-  const Mask<S> begins = known & (!out.acts) & (!state.braking);
-  state.stop_pose = select_pose(begins, seen.pose, state.stop_pose);
-  state.braking = (!out.acts) & (known | state.braking);
+  const Mask<S> counts = known & (!out.acts);
+  state.braked = select(out.acts, S(0.0), select(counts, S(state.braked + S(1.0)), state.braked));
+  const auto is_tick = [&](double count) { return counts & (state.braked == S(count)); };
+  state.stop_pose = select_pose(is_tick(1.0), seen.pose, state.stop_pose);
+  state.later_pose = select_pose(is_tick(2.0), seen.pose, state.later_pose);
+  state.stop_pose =
+      select_pose(is_tick(3.0), middle_pose(state.stop_pose, state.later_pose, seen.pose), state.stop_pose);
   const Vector6<S> weight = gravity_wrench(gains.body, seen.R_BE);
   const Vector6<S> away = pose_difference(state.stop_pose, seen.pose);
   const Vector6<S> wanted = gains.safe.hold_rate * away - gains.safe.damping_rate * seen.twist;  // chi-ddot
@@ -131,7 +139,7 @@ void decide_at(const SafetyGains<S, N>& gains, SafetyState<S, N>& state, const V
   out.acts = may_act & finite;
   if (all(out.acts)) {
     state.last_pose = seen.pose;
-    state.braking = Mask<S>(false);
+    state.braked = S(0.0);
   } else {
     stop_safely(gains, state, wrench, solver, out);
   }

@@ -310,10 +310,12 @@ def _has_slope(scenario: Scenario) -> bool:
     return _switches(scenario) and scenario.controller.switching.kind in ("tanh", "saturation")
 
 
+def _predicts(scenario: Scenario) -> bool:
+    return scenario.camera.prediction == "encoder" or scenario.camera.on_lost == "predict"
+
+
 def _uses_exposures(scenario: Scenario) -> bool:
-    camera = scenario.camera
-    predicts = camera.prediction == "encoder" or camera.on_lost == "predict"
-    return predicts or camera.timeout is not None or scenario.controller.law not in LAWS
+    return _predicts(scenario) or scenario.camera.timeout is not None or scenario.controller.law not in LAWS
 
 
 def _of_law(law: str) -> _Condition:
@@ -399,8 +401,11 @@ _CONDITIONS = (
         f"the law {' or '.join(law for law in ALL_LAWS if law not in LAWS)}",
     ),
     _Condition(
-        ("camera.on_lost",), lambda scenario: scenario.camera.image_size is not None, "only with camera.image_size"
+        ("camera.on_lost",),
+        lambda scenario: scenario.camera.image_size is not None or scenario.camera.gate is not None,
+        "only with camera.image_size or camera.gate",
     ),
+    _Condition(("camera.gate",), _predicts, "only with camera.prediction: encoder or camera.on_lost: predict"),
     _Condition(
         tuple(f"sensors.{key}" for key in ("rate", "resolution", "noise", "period")),
         lambda scenario: scenario.sensors.pose == "encoders",

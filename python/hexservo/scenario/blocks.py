@@ -256,6 +256,8 @@ class Camera(Block):
     on_lost: Annotated[Literal["hold", "predict", "stop"], Choice(), SAMPLED] = "hold"
     # between two frames: the newest one as it is, or carried along by the joint sensors
     prediction: Annotated[Literal["none", "encoder"], Choice(), SAMPLED] = "none"
+    # [px], that a point may be from where its last image and the joint sensors expect it; beyond it counts as lost
+    gate: Annotated[float | None, OptionalNumber(above=0), SAMPLED] = None
 
     @model_validator(mode="before")
     @classmethod

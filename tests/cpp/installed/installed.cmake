@@ -54,6 +54,15 @@ if(NOT code EQUAL 0 OR NOT output MATCHES "^outcome completed\n")
   message(FATAL_ERROR "c_client: expected a completed run, got ${code}:\n${output}")
 endif()
 
+# The same where the C++ library is wanted only if Eigen is there.
+file(COPY "${work}/c/CMakeLists.txt" "${work}/c/c_client.c" DESTINATION "${work}/optional")
+file(READ "${work}/optional/CMakeLists.txt" text)
+string(REPLACE "COMPONENTS c)" "COMPONENTS c OPTIONAL_COMPONENTS core)\nif(hexservo_core_FOUND)\n  message(FATAL_ERROR core)\nendif()" text
+       "${text}")
+file(WRITE "${work}/optional/CMakeLists.txt" "${text}")
+run("${CMAKE_COMMAND}" -S "${work}/optional" -B "${work}/optional/build" -G "${GENERATOR}"
+    -DCMAKE_DISABLE_FIND_PACKAGE_Eigen3=ON "-DCMAKE_PREFIX_PATH=${work}/prefix")
+
 # The memory layout is part of the interface: other instruction-set flags must not link.
 if(PROCESSOR MATCHES "^(x86_64|AMD64|amd64)$" AND NOT CXX_FLAGS MATCHES "-m(arch|avx)")
   file(WRITE "${work}/other_flags/CMakeLists.txt"

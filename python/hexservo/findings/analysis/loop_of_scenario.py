@@ -82,6 +82,7 @@ def quiet(scenario: Scenario) -> Scenario:
         "camera.smoothing": 0.0,
         "camera.image_size": None,
         "camera.on_lost": "hold",
+        "camera.gate": None,
         "sensors.resolution": 0.0,
         "sensors.noise": 0.0,
         "actuators.saturation": False,

@@ -20,6 +20,7 @@ from hexservo.findings.diagnosis.remedies import (
     gravity_remedies,
     late_camera_remedies,
     lost_features_remedies,
+    outliers_remedies,
     saturation_remedies,
     slower_remedies,
     unequal_depth_remedies,
@@ -85,14 +86,16 @@ def _late_camera(case: Case) -> list[Removal]:
 
 def _lost_features(case: Case) -> list[Removal]:
     camera = case.scenario.camera
-    if not case.sampled or (camera.image_size is None and camera.dropout == 0.0):
+    if not case.sampled or (camera.image_size is None and camera.dropout == 0.0 and camera.gate is None):
         return []
     changes: dict[str, Any] = {}
     if camera.image_size is not None:
         changes["camera.image_size"] = None
     if camera.dropout:
         changes["camera.dropout"] = 0.0
-    return [Removal("an image without border, and no lost frames", changes)]
+    if camera.gate is not None:
+        changes["camera.gate"] = None
+    return [Removal("an image without border or gate, and no lost frames", changes)]
 
 
 def _brake(case: Case) -> list[Removal]:
@@ -231,7 +234,7 @@ DEVICES: tuple[Cause, ...] = (
     Cause(
         "lost_features",
         "lost features",
-        _keys("camera.dropout", "camera.image_size", "camera.on_lost"),
+        _keys("camera.dropout", "camera.image_size", "camera.on_lost", "camera.gate"),
         _lost_features,
         lost_features_remedies,
         context=_IMAGE,
@@ -241,6 +244,7 @@ DEVICES: tuple[Cause, ...] = (
         "outliers among the features",
         _keys("camera.outlier_probability", "camera.outlier_size"),
         _outliers,
+        outliers_remedies,
         context=_IMAGE,
     ),
     Cause(

@@ -117,6 +117,24 @@ def lost_features_remedies(case: Case, removal: Removal, record: Record) -> list
     return [*remedies, removal]
 
 
+_GATE = 10.0  # of the noise, or the rounding, of a coordinate: far beyond what a right image differs by
+_LEAST_GATE = 2.0  # [px], for what depths and joint sensors carry along wrongly
+
+
+def outliers_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
+    """Leave out points that are far from where the joint sensors expect them."""
+    camera = case.scenario.camera
+    if camera.gate is not None or (camera.prediction == "none" and camera.convention != "eye_in_hand"):
+        return [removal]
+    gate = rounded_up(max(_GATE * camera.noise, _GATE * camera.quantisation, _LEAST_GATE))
+    changes: dict[str, Any] = {"camera.gate": gate}
+    words = f"a gate of {gate:g} px around the expected place of each point"
+    if camera.prediction == "none":
+        changes["camera.prediction"] = "encoder"
+        words += ", and prediction from the joint sensors"
+    return [Removal(words, changes), removal]
+
+
 def leg_limits_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
     """Use legs with larger limits, of those that end or fail the run."""
     robot, peaks = case.scenario.robot, record.metrics
