@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from typing import Any
 
 import numpy as np
@@ -239,6 +240,24 @@ def test_the_status_says_why_the_law_does_not_act(paper: hs.Scenario, law: str) 
         assert controller.step(**given, now=1.03, exposure=1.02).status == "valid"
     forgiving = hs.Controller(sampled.updated({"camera.timeout": None}))
     assert forgiving.step(**given, now=1e9, exposure=0.0).status == "valid"  # no timeout: any image
+
+
+def test_ticks_without_a_time_are_whole_periods_after_the_last_one_that_was_given(paper: hs.Scenario) -> None:
+    """Added up, they would be 1e-6 of a tick late after 100 at this time of the clock, after 3e5 from 0."""
+    start, given = 3e5, good_input(paper)
+    controller = hs.Controller(paper)
+    assert controller.step(**given, now=start).status == "valid"
+    for tick in range(1, 400):
+        if tick == 200:
+            controller = copy.deepcopy(controller)
+        exposure = start + tick * controller.period
+        assert controller.step(**given, exposure=exposure).status == "valid", tick
+    assert controller.step(**given, now=np.nan).status == "unusable"  # at no time: no period passes
+    assert controller.step(**given, exposure=start + 400 * controller.period).status == "valid"
+    assert controller.step(**given, exposure=start + 401.5 * controller.period).status == "unusable"
+    controller.reset()
+    assert controller.step(**given, exposure=0.0).status == "valid"
+    assert controller.step(**given, exposure=1.5 * controller.period).status == "unusable"
 
 
 @pytest.mark.parametrize("prediction", ["none", "encoder"])

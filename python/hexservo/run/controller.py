@@ -16,6 +16,10 @@ from hexservo.scenario.wording import wrong_type
 
 InputStatus: TypeAlias = Literal["valid", "unusable", "missing_image", "stale_image", "lost_feature"]
 
+# Time that was given last [s], and periods from it to the next tick: counted, since a sum of periods drifts away from
+# the exposures, and frames then seem to come from the future.
+_START = (0.0, 0)
+
 
 @described
 class ControllerOutput(NamedTuple):
@@ -82,17 +86,17 @@ class Controller:
         require_scenario(scenario)
         self._scenario = scenario
         self._core = _core.Controller(*controller_arguments(scenario, period))
-        self._next = 0.0
+        self._clock = _START
 
     def __getstate__(self) -> dict[str, Any]:
         """Return scenario, period and all that is kept from tick to tick: copies and pickles go on from here."""
-        return {"scenario": self._scenario, "period": self.period, "next": self._next, "state": self._core.state()}
+        return {"scenario": self._scenario, "period": self.period, "clock": self._clock, "state": self._core.state()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Continue where `__getstate__` was called."""
         self.__init__(state["scenario"], state["period"])  # type: ignore[misc]
         self._core.restore(state["state"])
-        self._next = state["next"]
+        self._clock = state["clock"]
 
     def __repr__(self) -> str:
         """Show the scenario's name and the period."""
@@ -116,7 +120,7 @@ class Controller:
     def reset(self) -> None:
         """Reset to the state before the first tick, at time 0."""
         self._core.reset()
-        self._next = 0.0
+        self._clock = _START
 
     def step(
         self,
@@ -171,13 +175,14 @@ class Controller:
         ValueError
             "name: expected 8 numbers, got ..." for an argument of another shape or of no numbers.
         """
-        time = self._next if now is None else _seconds("now", now)
+        given, periods = self._clock if now is None else (_seconds("now", now), 0)
+        time = given + periods * self.period
         exposed = np.nan if features is None else time if exposure is None else _seconds("exposure", exposure)
         wrench, leg_forces, fuzzy_output, status, saturated, leg_positions, latency = self._core.step(
             features, depth, position, quaternion, twist, leg_lengths, leg_rates, exposed, time
         )
         if np.isfinite(time):
-            self._next = time + self.period
+            self._clock = given, periods + 1
         return ControllerOutput(
             wrench,
             leg_forces,
