@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, Literal, NamedTuple, TypeAlias, cast
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from hexservo import _core
 from hexservo.scenario.arrays import Array, real_numbers
+from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.fields import described
 from hexservo.scenario.parameters import Settings, core_parameters
 from hexservo.scenario.scenario import Scenario, require_scenario
@@ -19,6 +21,8 @@ InputStatus: TypeAlias = Literal["valid", "unusable", "missing_image", "stale_im
 # Time that was given last [s], and periods from it to the next tick: counted, since a sum of periods drifts away from
 # the exposures, and frames then seem to come from the future.
 _START = (0.0, 0)
+
+_SEEN_FROM_HOME = ("target.initial_features", "target.depth")  # in place of points
 
 
 @described
@@ -198,6 +202,17 @@ class Controller:
 def controller_arguments(scenario: Scenario, period: float | None) -> tuple[Settings, float]:
     """Return the core's settings of a scenario's controller and its period, the scenario's unless one is given."""
     return core_parameters(scenario), scenario.simulation.step if period is None else _seconds("period", period)
+
+
+def controller_keys(settings: Settings) -> Iterator[_core.ScenarioKey]:
+    """Yield the keys that a scenario's controller is made from: of its law, mode, legs and kind of target."""
+    sampled, prismatic = settings["simulation.mode"] == SAMPLED_MODE, settings["robot.legs"] == "prismatic"
+    has_points = settings["target.points"] is not None
+    for key in _core.scenario_keys(settings.law):
+        acts = not key.sampled or sampled or key.name.startswith("controller.safe.")
+        unused = (has_points and key.name in _SEEN_FROM_HOME) or (prismatic and key.name.startswith("robot.cranks."))
+        if key.concern == "controller" and acts and not unused:
+            yield key
 
 
 def _seconds(name: str, given: object) -> float:
