@@ -25,6 +25,7 @@ from hexservo.scenario.flat import flat_text
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.laws import LAWS
 from hexservo.scenario.parameters import core_parameters
+from points import five_points, roundings
 
 fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
 
@@ -208,6 +209,23 @@ def test_the_loop_is_the_run_bit_for_bit(make: Any, fmi: int, name: str) -> None
     assert unit.get("outcome") == 0
     for metric, value in hs.metrics(run).items():
         np.testing.assert_array_equal(unit.get(f"metric_{metric}"), value, err_msg=metric)
+
+
+def test_the_loop_of_five_points_is_the_run_to_rounding(make: Any) -> None:
+    scenario = five_points()
+    run = hs.simulate(scenario)
+    unit = make(scenario, 3).instance()
+    unit.start()
+    widths = {"feature_error": 10, "position": 3, "twist": 6, "wrench": 6, "leg_forces": 6}
+    found: dict[str, list[Any]] = {quantity: [] for quantity in widths}
+    for row in range(len(run.time)):
+        if row:
+            unit.step(scenario.simulation.step)
+        for quantity, width in widths.items():
+            found[quantity].append(unit.get(quantity, width))
+    for quantity, values in found.items():
+        expected = getattr(run, quantity)
+        np.testing.assert_allclose(values, expected, rtol=0, atol=roundings(expected), err_msg=quantity)
 
 
 def test_what_has_no_effect_is_no_parameter(make: Any) -> None:
