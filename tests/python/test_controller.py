@@ -288,6 +288,22 @@ def test_a_frame_that_is_older_than_the_kept_poses_is_not_used(paper: hs.Scenari
         np.testing.assert_array_equal(late.wrench, none.wrench)
 
 
+def test_features_without_depth_are_a_frame_and_depth_without_features_is_none(paper: hs.Scenario) -> None:
+    given = good_input(paper)
+    joints = {name: given[name] for name in ("position", "quaternion", "twist")}
+    features, depth = given["features"], given["depth"]
+    controller, other = hs.Controller(paper), hs.Controller(paper)
+    assert controller.step(**joints, features=features).status == "unusable"
+    assert controller.step(**joints, features=np.full(8, np.nan)).status == "missing_image"  # it shows no point
+    assert controller.step(**joints, depth=depth).status == "missing_image"
+    for each in (controller, other):
+        assert each.step(**given, now=1.0).status == "valid"
+    again, same = controller.step(**joints, depth=2.0 * depth), other.step(**joints)
+    assert again.status == same.status == "valid"
+    np.testing.assert_array_equal(again.wrench, same.wrench)
+    assert controller.step(**joints, features=features).status == "unusable"
+
+
 def test_leg_lengths_stand_for_pose_and_twist(paper: hs.Scenario) -> None:
     scenario = paper.updated({"simulation.mode": "sampled", "sensors": {"pose": "encoders", "period": 2e-3}})
     robot = _core.Hexapod(core_parameters(scenario).robot)

@@ -150,11 +150,12 @@ class Controller:
         features
             (2p,) of p points, measured pixels (x1, y1, ..., xp, yp) as the scenario's camera counts them [px], those of
             `project`: by ``camera.principal_point``, ``axes`` and ``distortion``, which the tick takes out. NaN
-            for a point that the frame does not show. None: no frame arrived since the last tick, and the one before is
-            used, or predicted.
+            for a point that the frame does not show. None: no frame arrived since the last tick, whatever `depth` is,
+            and the one before is used, or predicted.
         depth
             (p,), measured Z of the points at the exposure, along the axis of the camera, which is that of E unless it
-            has a ``camera.mount``; negative in front of the camera, with either of ``camera.axes`` [m].
+            has a ``camera.mount``; negative in front of the camera, with either of ``camera.axes`` [m]. None: not
+            known, as NaN, and a frame that shows a point is ``unusable``.
         position
             (3,), of E's origin, in B [m]. Not used where ``sensors.pose`` is ``encoders``.
         quaternion
