@@ -31,3 +31,14 @@ def with_points(scenario: hs.Scenario, points: Any, **changes: Any) -> hs.Scenar
             **changes,
         }
     )
+
+
+def five_points() -> hs.Scenario:
+    """A short run whose single steps go through lanes, as those of every target but four points of equal weight."""
+    changes = {"simulation.mode": "sampled", "simulation.duration": 0.2, "uncertainty.depth": 0.0}
+    return with_points(hs.load_scenario("paper"), scattered(5), **changes, **{"simulation.log_every": 1})
+
+
+def roundings(values: np.ndarray[Any, Any]) -> float:
+    """Return one rounding of the largest value in each row: a loop that settles does not amplify those of before."""
+    return len(values) * float(np.finfo(float).eps * np.abs(values).max())

@@ -20,10 +20,13 @@ import rotary_machine
 from hexservo import _core
 from hexservo.bridges.model_description import si_exponents
 from hexservo.cli.commands import app
+from hexservo.run.export import gains_header
 from hexservo.run.variant import load_kernel
 from hexservo.scenario.flat import flat_text
+from hexservo.scenario.keys import value_at
 from hexservo.scenario.laws import LAWS
 from hexservo.scenario.parameters import core_parameters
+from points import five_points, roundings
 
 fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
 
@@ -209,6 +212,23 @@ def test_the_loop_is_the_run_bit_for_bit(make: Any, fmi: int, name: str) -> None
         np.testing.assert_array_equal(unit.get(f"metric_{metric}"), value, err_msg=metric)
 
 
+def test_the_loop_of_five_points_is_the_run_to_rounding(make: Any) -> None:
+    scenario = five_points()
+    run = hs.simulate(scenario)
+    unit = make(scenario, 3).instance()
+    unit.start()
+    widths = {"feature_error": 10, "position": 3, "twist": 6, "wrench": 6, "leg_forces": 6}
+    found: dict[str, list[Any]] = {quantity: [] for quantity in widths}
+    for row in range(len(run.time)):
+        if row:
+            unit.step(scenario.simulation.step)
+        for quantity, width in widths.items():
+            found[quantity].append(unit.get(quantity, width))
+    for quantity, values in found.items():
+        expected = getattr(run, quantity)
+        np.testing.assert_allclose(values, expected, rtol=0, atol=roundings(expected), err_msg=quantity)
+
+
 def test_what_has_no_effect_is_no_parameter(make: Any) -> None:
     loop = make(hs.load_scenario("paper").updated(SHORT), 2).instance()
     loop.start()
@@ -359,6 +379,48 @@ def test_motors_of_cranks_have_the_units_of_cranks(make: Any) -> None:
         "kp": "N m/rad", "kv": "N m s/rad", "damping": "N m s/rad", "friction": "N m", "armature": "kg m^2",
         "quantisation": "rad",
     }  # fmt: skip
+
+
+def parameters(made: Made) -> set[str]:
+    """Keys of a unit's parameters."""
+    names = {v.name.partition("[")[0] for v in made.description.modelVariables if v.causality == "parameter"}
+    assert "robot.mass" in names
+    return names
+
+
+@pytest.mark.parametrize("name", ["paper", "composite-30hz", "pi-h824-positions", "reachy-mini-motors"])
+def test_the_parameters_of_a_controller_are_those_of_its_header(make: Any, name: str) -> None:
+    scenario = hs.load_scenario(name)
+    members = re.findall(r"^  (s|gains)\.([a-z_.]+?)(?:\.(?:emplace|resize)\(.*| <<.*| = .*)$",
+                         gains_header(scenario), re.MULTILINE)  # fmt: skip
+    header = {member if place == "s" else f"controller.{scenario.controller.law}.{member}" for place, member in members}
+    found = parameters(make(scenario, 2, "controller"))
+    assert found - header == {"target.weights"}  # of 1 each, the header's default
+    missing = header - found - {"simulation.mode", "robot.legs"}
+    assert all(value_at(scenario, key) is None for key in missing), missing
+    assert not found & {"camera.noise", "uncertainty.gravity", "base_motion.kind", "simulation.duration", "seed"}
+
+
+def test_the_parameters_of_a_plant_act(make: Any) -> None:
+    """No law, no drives that take positions, no metrics; the brake acts until the first frame."""
+    scenario = hs.load_scenario("composite-30hz").updated({"controller.safe": {"damping": 1.0, "hold": 10.0}})
+    found = parameters(make(scenario, 2, "plant"))
+    of_controller = {key for key in found if key.startswith("controller.")}
+    assert of_controller == {"controller.safe.damping", "controller.safe.hold"}
+    assert {"camera.on_lost", "camera.noise", "uncertainty.gravity", "seed", "simulation.substeps"} <= found
+    without: dict[str, Any] = {"controller.composite.kp": 2.0, "metrics.band": 3.0, "simulation.duration": 0.5}
+    assert not found & {*without, "actuators.kind", "actuators.position.bandwidth", "actuators.motor.kp"}
+
+    def positions(changes: dict[str, Any]) -> Any:
+        unit = make(scenario.updated(changes), 2, "plant").instance()
+        unit.start()
+        unit.put("wrench", [0.01, 0.0, -0.6, 0.0, 0.0, 0.0])
+        return [unit.get("position", 3) for _ in range(50) if unit.step(scenario.simulation.step)]
+
+    expected = positions({})
+    np.testing.assert_array_equal(positions(without), expected)
+    for acting in ({"controller.safe.damping": 3.0}, {"controller.safe.hold": 30.0}):
+        assert not np.array_equal(positions(acting), expected), acting
 
 
 @pytest.mark.parametrize("fmi", VERSIONS)

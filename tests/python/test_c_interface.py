@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import os
 import re
 import shutil
 import subprocess
@@ -20,7 +21,7 @@ from hexservo.scenario.arrays import Array
 from hexservo.scenario.flat import flat, flat_text
 from hexservo.scenario.laws import ALL_LAWS, LAWS
 from hexservo.scenario.parameters import core_parameters
-from points import scattered, with_points
+from points import five_points, roundings, scattered, with_points
 
 HEADER = Path(__file__).parents[2] / "cpp" / "include" / "hexservo.h"
 QUANTITIES = (
@@ -282,19 +283,24 @@ def test_structs_are_those_of_the_number_of_the_interface(library: ctypes.CDLL, 
 
 
 def test_the_program_of_the_page_runs(path: Path, tmp_path: Path) -> None:
-    compiler = shutil.which("cc") or shutil.which("gcc")
-    if compiler is None:
+    """Built by the page's own line, in a home directory where the library is installed."""
+    if shutil.which("cc") is None:
         pytest.skip("no C compiler is installed")
     page = (HEADER.parents[2] / "docs" / "c-interface.md").read_text(encoding="utf-8")
     (text,) = re.findall(r"```c\n(.*?)```", page, re.DOTALL)
-    (tmp_path / "page.c").write_text(text, encoding="utf-8")
-    shared = path.resolve()
-    flags = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-I", str(HEADER.parent)]
-    places = [str(tmp_path / "page.c"), str(shared), f"-Wl,-rpath,{shared.parent}", "-o", str(tmp_path / "page")]
-    subprocess.run([compiler, *flags, *places], check=True)
+    (line,) = re.findall(r"^cc .*$", page, re.MULTILINE)
+    (tmp_path / "program.c").write_text(text, encoding="utf-8")
+    installed = tmp_path / "hexservo"
+    (installed / "lib").mkdir(parents=True)
+    (installed / "lib" / "libhexservo.so").symlink_to(path.resolve())
+    (installed / "include").symlink_to(HEADER.parent)
+    warnings = "-pedantic -Wall -Wextra -Werror -o program"
+    home = {**os.environ, "HOME": str(tmp_path)}
+    home.pop("LD_LIBRARY_PATH", None)
+    subprocess.run(f"{line} {warnings}", shell=True, cwd=tmp_path, env=home, check=True)
     scenario = hs.load_scenario("paper")
     done = subprocess.run(
-        [str(tmp_path / "page")], input=flat_text(scenario), capture_output=True, text=True, check=True
+        [str(tmp_path / "program")], input=flat_text(scenario), capture_output=True, text=True, env=home, check=True
     )
     run = _core.simulate(core_parameters(scenario), load_kernel("baseline"))
     assert done.stdout.endswith(f", final error {run.metrics.final_error:g} px\n"), done.stdout
@@ -339,6 +345,20 @@ def test_a_program_in_c_and_python_agree_bit_for_bit(client: Path, name: str, ch
         sums = lines[len(QUANTITIES) + 2 :]
         assert len(sums) == ticks // 100
         assert np.array_equal([numbers(line) for line in sums], ticked(scenario, ticks))
+
+
+def test_of_five_points_a_program_in_c_and_python_agree_to_rounding(client: Path) -> None:
+    scenario = five_points()
+    done = subprocess.run([str(client), "0"], input=flat_text(scenario), capture_output=True, text=True, check=True)
+    head, *lines = done.stdout.splitlines()
+    run = _core.simulate(core_parameters(scenario), load_kernel("baseline"))
+    assert head == f"outcome {run.outcome.name}" == "outcome completed"
+    for quantity, line in zip(QUANTITIES, lines, strict=False):
+        expected: Array = getattr(run, quantity)
+        limit = roundings(expected)
+        np.testing.assert_allclose(numbers(line), expected.ravel(), rtol=0, atol=limit, err_msg=quantity)
+    rows = len(run.time)
+    assert lines[len(QUANTITIES) + 1] == f"{rows} of {rows} ticks are equal"  # plant and tick, with the run in C
 
 
 def room(name: str) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from typing import Any
 
 import numpy as np
@@ -241,6 +242,24 @@ def test_the_status_says_why_the_law_does_not_act(paper: hs.Scenario, law: str) 
     assert forgiving.step(**given, now=1e9, exposure=0.0).status == "valid"  # no timeout: any image
 
 
+def test_ticks_without_a_time_are_whole_periods_after_the_last_one_that_was_given(paper: hs.Scenario) -> None:
+    """Added up, they would be 1e-6 of a tick late after 100 at this time of the clock, after 3e5 from 0."""
+    start, given = 3e5, good_input(paper)
+    controller = hs.Controller(paper)
+    assert controller.step(**given, now=start).status == "valid"
+    for tick in range(1, 400):
+        if tick == 200:
+            controller = copy.deepcopy(controller)
+        exposure = start + tick * controller.period
+        assert controller.step(**given, exposure=exposure).status == "valid", tick
+    assert controller.step(**given, now=np.nan).status == "unusable"  # at no time: no period passes
+    assert controller.step(**given, exposure=start + 400 * controller.period).status == "valid"
+    assert controller.step(**given, exposure=start + 401.5 * controller.period).status == "unusable"
+    controller.reset()
+    assert controller.step(**given, exposure=0.0).status == "valid"
+    assert controller.step(**given, exposure=1.5 * controller.period).status == "unusable"
+
+
 @pytest.mark.parametrize("prediction", ["none", "encoder"])
 def test_a_frame_that_is_older_than_the_kept_poses_is_not_used(paper: hs.Scenario, prediction: str) -> None:
     """Where points are predicted; such a frame, as one that is older than the newest, changes nothing."""
@@ -267,6 +286,22 @@ def test_a_frame_that_is_older_than_the_kept_poses_is_not_used(paper: hs.Scenari
             none = same.step(**joints, now=1e-3 * tick + 5e-4)
         assert late.status == none.status == ("valid" if tick >= 205 else "missing_image")
         np.testing.assert_array_equal(late.wrench, none.wrench)
+
+
+def test_features_without_depth_are_a_frame_and_depth_without_features_is_none(paper: hs.Scenario) -> None:
+    given = good_input(paper)
+    joints = {name: given[name] for name in ("position", "quaternion", "twist")}
+    features, depth = given["features"], given["depth"]
+    controller, other = hs.Controller(paper), hs.Controller(paper)
+    assert controller.step(**joints, features=features).status == "unusable"
+    assert controller.step(**joints, features=np.full(8, np.nan)).status == "missing_image"  # it shows no point
+    assert controller.step(**joints, depth=depth).status == "missing_image"
+    for each in (controller, other):
+        assert each.step(**given, now=1.0).status == "valid"
+    again, same = controller.step(**joints, depth=2.0 * depth), other.step(**joints)
+    assert again.status == same.status == "valid"
+    np.testing.assert_array_equal(again.wrench, same.wrench)
+    assert controller.step(**joints, features=features).status == "unusable"
 
 
 def test_leg_lengths_stand_for_pose_and_twist(paper: hs.Scenario) -> None:

@@ -277,10 +277,10 @@ def test_a_controller_that_is_set_back_repeats_itself() -> None:
     count = len(ticks["now"])
     for k in range(count // 2):
         step(controller, ticks, k)
-    state, now = controller._core.state(), controller._next
+    state, clock = controller._core.state(), controller._clock
     expected = [step(controller, ticks, k) for k in range(count // 2, count)]
     controller._core.restore(state)
-    controller._next = now
+    controller._clock = clock
     for k, once in zip(range(count // 2, count), expected, strict=True):
         assert_equal(step(controller, ticks, k), once)
 
@@ -315,7 +315,7 @@ def test_a_state_with_a_number_that_none_has_is_refused_or_harmless(name: str) -
     count = len(ticks["now"])
     for k in range(count - 5):
         step(controller, ticks, k)
-    state, now = controller._core.state(), controller._next
+    state, clock = controller._core.state(), controller._clock
     taken = 0
     for place in range(len(state)):
         spoilt, before = state.copy(), taken
@@ -325,7 +325,7 @@ def test_a_state_with_a_number_that_none_has_is_refused_or_harmless(name: str) -
             taken += 1
         if taken == before:
             continue
-        controller._next = now
+        controller._clock = clock
         outputs = [step(controller, ticks, k) for k in range(count - 5, count)]
         assert [output.status for output in outputs] == ["valid"] * 5, place
     assert taken <= 6  # a twist

@@ -17,6 +17,7 @@ import numpy as np
 from hexservo import _core
 from hexservo.bridges.model_description import UnitVariable, model_description
 from hexservo.run.c_library import c_library
+from hexservo.run.controller import controller_keys
 from hexservo.run.metrics import METRICS, metric_unit
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.flat import flat
@@ -36,6 +37,9 @@ _TITLE = "hexservo model 1"
 _DATE = (1980, 1, 1, 0, 0, 0)  # of every file in a unit: equal scenarios give equal units
 # A unit logs nothing; its mode decides what it is, its legs which units it has.
 _LEFT_OUT = ("simulation.log_every", "simulation.mode", "robot.legs")
+# A plant that takes wrenches has no law and no drives that take positions, is not judged, and goes on until it fails.
+_NOT_OF_A_PLANT = ("controller.", "actuators.kind", "actuators.position.", "actuators.motor.", "metrics.",
+                   "simulation.duration")  # fmt: skip
 _TYPES = {"number": "real", "array": "real", "whole": "whole", "flag": "flag", "choice": "text", "seed": "text"}
 _WRENCH = ("N", "N", "N", "N m", "N m", "N m")
 _TWIST = ("m/s", "m/s", "m/s", "rad/s", "rad/s", "rad/s")
@@ -47,9 +51,9 @@ def fmu(scenario: Scenario, *, fmi: Literal[2, 3] = 2, what: UnitKind = "loop") 
     Parameters
     ----------
     scenario
-        What the unit starts with. Every key of the core that holds numbers or a name is a parameter, array entries one
-        by one: ``robot.mass`` [kg], ``uncertainty.gravity[3]``. Keys that are null in the scenario are none, nor are in
-        continuous mode those that act in sampled mode alone.
+        What the unit starts with. Every key of the core that holds numbers or a name and acts in the unit is a
+        parameter, array entries one by one: ``robot.mass`` [kg], ``uncertainty.gravity[3]``. Keys that are null in the
+        scenario are none, nor are in continuous mode those that act in sampled mode alone.
     fmi
         Version of the standard: 2 (2.0) or 3 (3.0).
     what
@@ -89,7 +93,7 @@ def fmu(scenario: Scenario, *, fmi: Literal[2, 3] = 2, what: UnitKind = "loop") 
         )
     settings = core_parameters(scenario)
     signals = {"loop": _of_loop, "plant": _of_plant, "controller": _of_controller}[what](scenario, settings)
-    variables = [UnitVariable("time", "real", "time", unit="s"), *_parameters(scenario, settings), *signals]
+    variables = [UnitVariable("time", "real", "time", unit="s"), *_parameters(scenario, settings, what), *signals]
     lines = [
         f"what {what}",
         *(variable.line for variable in variables),
@@ -131,19 +135,30 @@ def is_unit(path: Path) -> bool:
         return False  # no archive of ours, or one that is damaged or encrypted
 
 
-def _parameters(scenario: Scenario, settings: _core.Settings) -> Iterator[UnitVariable]:
-    """Yield every key of the core's table that has a finite value and acts in the mode: arrays entry by entry.
+def _keys(settings: _core.Settings, what: UnitKind) -> Iterator[_core.ScenarioKey]:
+    """Yield the keys that act in a unit."""
+    if what == "controller":
+        yield from controller_keys(settings)
+        return
+    for key in _core.scenario_keys(settings.law):
+        brakes = key.name.startswith("controller.safe.")  # without an image, a plant too
+        foreign = what == "plant" and key.name.startswith(_NOT_OF_A_PLANT) and not brakes
+        if not foreign and (not key.sampled or settings["simulation.mode"] == SAMPLED_MODE):
+            yield key
+
+
+def _parameters(scenario: Scenario, settings: _core.Settings, what: UnitKind) -> Iterator[UnitVariable]:
+    """Yield every key of the core's table that has a finite value and acts in the unit: arrays entry by entry.
 
     Where a scenario has null beside another key (a radius beside joints, a focal length in metres beside one in pixels)
     the core has its default there, which does not act: such keys are none.
     """
     texts = flat(scenario)
-    sampled = scenario.simulation.mode == "sampled"
-    for key in _core.scenario_keys(settings.law):
+    for key in _keys(settings, what):
         text = texts[key.name]
         if key.type not in _TYPES or key.name in _LEFT_OUT or (text == "none" and key.type != "choice"):
             continue
-        if (key.sampled and not sampled) or attrgetter(key.name)(scenario) is None:
+        if attrgetter(key.name)(scenario) is None:
             continue
         kind = _TYPES[key.type]
         if kind == "text":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, Literal, NamedTuple, TypeAlias, cast
 
 import numpy as np
@@ -9,12 +10,19 @@ from numpy.typing import ArrayLike
 
 from hexservo import _core
 from hexservo.scenario.arrays import Array, real_numbers
+from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.fields import described
 from hexservo.scenario.parameters import Settings, core_parameters
 from hexservo.scenario.scenario import Scenario, require_scenario
 from hexservo.scenario.wording import wrong_type
 
 InputStatus: TypeAlias = Literal["valid", "unusable", "missing_image", "stale_image", "lost_feature"]
+
+# Time that was given last [s], and periods from it to the next tick: counted, since a sum of periods drifts away from
+# the exposures, and frames then seem to come from the future.
+_START = (0.0, 0)
+
+_SEEN_FROM_HOME = ("target.initial_features", "target.depth")  # in place of points
 
 
 @described
@@ -82,17 +90,17 @@ class Controller:
         require_scenario(scenario)
         self._scenario = scenario
         self._core = _core.Controller(*controller_arguments(scenario, period))
-        self._next = 0.0
+        self._clock = _START
 
     def __getstate__(self) -> dict[str, Any]:
         """Return scenario, period and all that is kept from tick to tick: copies and pickles go on from here."""
-        return {"scenario": self._scenario, "period": self.period, "next": self._next, "state": self._core.state()}
+        return {"scenario": self._scenario, "period": self.period, "clock": self._clock, "state": self._core.state()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Continue where `__getstate__` was called."""
         self.__init__(state["scenario"], state["period"])  # type: ignore[misc]
         self._core.restore(state["state"])
-        self._next = state["next"]
+        self._clock = state["clock"]
 
     def __repr__(self) -> str:
         """Show the scenario's name and the period."""
@@ -116,7 +124,7 @@ class Controller:
     def reset(self) -> None:
         """Reset to the state before the first tick, at time 0."""
         self._core.reset()
-        self._next = 0.0
+        self._clock = _START
 
     def step(
         self,
@@ -142,11 +150,12 @@ class Controller:
         features
             (2p,) of p points, measured pixels (x1, y1, ..., xp, yp) as the scenario's camera counts them [px], those of
             `project`: by ``camera.principal_point``, ``axes`` and ``distortion``, which the tick takes out. NaN
-            for a point that the frame does not show. None: no frame arrived since the last tick, and the one before is
-            used, or predicted.
+            for a point that the frame does not show. None: no frame arrived since the last tick, whatever `depth` is,
+            and the one before is used, or predicted.
         depth
             (p,), measured Z of the points at the exposure, along the axis of the camera, which is that of E unless it
-            has a ``camera.mount``; negative in front of the camera, with either of ``camera.axes`` [m].
+            has a ``camera.mount``; negative in front of the camera, with either of ``camera.axes`` [m]. None: not
+            known, as NaN, and a frame that shows a point is ``unusable``.
         position
             (3,), of E's origin, in B [m]. Not used where ``sensors.pose`` is ``encoders``.
         quaternion
@@ -171,13 +180,14 @@ class Controller:
         ValueError
             "name: expected 8 numbers, got ..." for an argument of another shape or of no numbers.
         """
-        time = self._next if now is None else _seconds("now", now)
+        given, periods = self._clock if now is None else (_seconds("now", now), 0)
+        time = given + periods * self.period
         exposed = np.nan if features is None else time if exposure is None else _seconds("exposure", exposure)
         wrench, leg_forces, fuzzy_output, status, saturated, leg_positions, latency = self._core.step(
             features, depth, position, quaternion, twist, leg_lengths, leg_rates, exposed, time
         )
         if np.isfinite(time):
-            self._next = time + self.period
+            self._clock = given, periods + 1
         return ControllerOutput(
             wrench,
             leg_forces,
@@ -193,6 +203,17 @@ class Controller:
 def controller_arguments(scenario: Scenario, period: float | None) -> tuple[Settings, float]:
     """Return the core's settings of a scenario's controller and its period, the scenario's unless one is given."""
     return core_parameters(scenario), scenario.simulation.step if period is None else _seconds("period", period)
+
+
+def controller_keys(settings: Settings) -> Iterator[_core.ScenarioKey]:
+    """Yield the keys that a scenario's controller is made from: of its law, mode, legs and kind of target."""
+    sampled, prismatic = settings["simulation.mode"] == SAMPLED_MODE, settings["robot.legs"] == "prismatic"
+    has_points = settings["target.points"] is not None
+    for key in _core.scenario_keys(settings.law):
+        acts = not key.sampled or sampled or key.name.startswith("controller.safe.")
+        unused = (has_points and key.name in _SEEN_FROM_HOME) or (prismatic and key.name.startswith("robot.cranks."))
+        if key.concern == "controller" and acts and not unused:
+            yield key
 
 
 def _seconds(name: str, given: object) -> float:

@@ -9,14 +9,12 @@ from typing import Any
 import numpy as np
 
 from hexservo import _core
-from hexservo.run.controller import controller_arguments
+from hexservo.run.controller import controller_arguments, controller_keys
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.leg_units import unit_of
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.version import VERSION
-
-_SEEN_FROM_HOME = ("target.initial_features", "target.depth")  # in place of points
 
 _FOUR = 4  # points: what controllers and arrays of the core are for by default
 
@@ -127,16 +125,13 @@ def gains_header(scenario: Scenario, period: float | None = None) -> str:
         "  hexservo::Settings s = hexservo::Settings::of<Law>();",
         "  hexservo::GainsOf<Law>& gains = s.gains<Law>();",
     ]
-    has_points, prismatic = settings["target.points"] is not None, settings["robot.legs"] == "prismatic"
-    for key in _core.scenario_keys(settings.law):
-        acts = not key.sampled or settings["simulation.mode"] == SAMPLED_MODE or key.name.startswith("controller.safe.")
-        unused = (has_points and key.name in _SEEN_FROM_HOME) or (prismatic and key.name.startswith("robot.cranks."))
-        unused = unused or (key.name == "target.weights" and bool(np.all(settings[key.name] == 1.0)))  # the default
-        if key.concern == "controller" and acts and not unused:
-            member = key.name.replace(f"controller.{law.name}.", "gains.", 1)
-            member = member if member.startswith("gains.") else f"s.{member}"
-            unit = unit_of(scenario.robot, key.name, key.unit)
-            lines += _assignment(member, key, unit, settings[key.name])
+    for key in controller_keys(settings):
+        if key.name == "target.weights" and np.all(settings[key.name] == 1.0):  # the default
+            continue
+        member = key.name.replace(f"controller.{law.name}.", "gains.", 1)
+        member = member if member.startswith("gains.") else f"s.{member}"
+        unit = unit_of(scenario.robot, key.name, key.unit)
+        lines += _assignment(member, key, unit, settings[key.name])
     lines += [
         "  return s;",
         "}",
