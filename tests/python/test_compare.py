@@ -25,7 +25,8 @@ from hexservo.draw.style import our_style
 from hexservo.run import compare
 from hexservo.run.comparison import COLUMNS
 from hexservo.run.files import MARKER
-from hexservo.run.metrics import metric_unit
+from hexservo.run.metrics import metric_unit, unsettled
+from hexservo.run.summary import summary_sentences
 from hexservo.scenario.laws import ALL_LAWS, LAWS
 from hexservo.scenario.wording import number as written
 
@@ -127,6 +128,18 @@ def test_verdicts_say_why(comparison: hs.Comparison) -> None:
     assert len(wrong_sign.error) == round(wrong_sign.end_time / 1e-3) + 1
     with pytest.raises(KeyError, match="a pair that was compared"):
         comparison.row("hybrid", "paper-minus")
+
+
+def test_an_error_just_above_the_band_is_not_written_as_the_band(paper: hs.Scenario) -> None:
+    result = hs.simulate(paper.updated({"simulation.duration": 0.02}))
+    left = hs.metrics(result)["final_error"]
+    near = result.scenario.updated({"metrics.band": left * (1 - 1e-6)})
+    text = unsettled(hs.metrics(result), near.metrics)
+    words = re.fullmatch(r"(.*) px from the goal at the end, above (.*) px", text)
+    assert words is not None
+    error, band = words.groups()
+    assert float(error) > float(band)
+    assert f"The largest feature error at the end is {error} px." in summary_sentences(replace(result, scenario=near))
 
 
 def test_a_law_that_refuses_a_scenario_is_a_row(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from hexservo.scenario.leg_units import unit_of
 from hexservo.scenario.rules import did_you_mean
-from hexservo.scenario.wording import number, several_names, wrong_type
+from hexservo.scenario.wording import apart, number, several_names, wrong_type
 
 if TYPE_CHECKING:
     from hexservo.run.result import Result
@@ -103,7 +103,13 @@ def unsettled(values: Mapping[str, float], measured: Metrics) -> str:
     """
     if values["final_error"] <= measured.band:
         return f"within {measured.band:g} px at the end, but for less than {measured.dwell:g} s"
-    return f"{number(values['final_error'], 4)} px from the goal at the end, above {measured.band:g} px"
+    left, band = left_and_band(values, measured)
+    return f"{left} px from the goal at the end, above {band} px"
+
+
+def left_and_band(values: Mapping[str, float], measured: Metrics) -> tuple[str, str]:
+    """Return the largest feature error at the end and the band, in px, as `apart`; arguments as for `unsettled`."""
+    return apart(values["final_error"], measured.band)
 
 
 def shown_metrics(result: Result) -> dict[str, float]:
