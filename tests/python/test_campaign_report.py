@@ -136,8 +136,9 @@ def test_a_run_that_ends_early_is_not_within_the_bound(tmp_path: Path) -> None:
 
 def test_an_axis_within_one_decade_is_linear() -> None:
     """There a logarithmic axis may have a single label."""
+    upper = Line("upper", np.array([1.0, 400.0]), np.array([0.7, 0.5]))
     for low, kind in ((0.2, None), (0.01, "log")):
-        lines = [Line("upper", np.array([1.0, 400.0]), np.array([0.7, 0.5])), Line("", np.array([1.0]), np.array([low]))]
+        lines = [upper, Line("lower", np.array([1.0]), np.array([low]))]
         found = str(curves(Curves("Failure probability", "runs", "probability", lines, x_log=True, y_log=True)))
         (spec,) = re.findall(r"<script[^>]*>(\{.*?\})</script>", found)
         layout = json.loads(spec)["layout"]

@@ -8,7 +8,7 @@ import numpy as np
 
 from hexservo.run.leg_limits import leg_limits
 from hexservo.run.leg_motion import singular_passage
-from hexservo.run.metrics import left_and_band, metrics, readable_unit, unsettled
+from hexservo.run.metrics import left_and_band, metrics, readable_unit, shown_number, unsettled
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.pixels import points_outside
 from hexservo.scenario.wording import apart, number, percent_above, percent_below, quantity
@@ -85,8 +85,9 @@ def _residual(result: Result) -> str:
     left, _ = left_and_band(values, result.scenario.metrics)
     text = f"The largest feature error at the end is {left} px"
     rms = values["rms_error"]
-    start = result.scenario.metrics.rms_start
-    return text + (f"; from {start:g} s on their RMS is {number(rms, 4)} px." if rms == rms else ".")
+    if rms == rms:
+        text += f"; from {result.scenario.metrics.rms_start:g} s on their RMS is {shown_number(rms, 'px')} px"
+    return text.replace("<", "less than ") + "."
 
 
 def _legs(result: Result) -> list[str]:
