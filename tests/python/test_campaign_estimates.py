@@ -306,9 +306,9 @@ def test_estimates_of_a_campaign() -> None:
         assert last.startswith("Estimates of indices may exceed 100 %") == (scale > 1)
     margin = found.indices["margin"]
     unbounded = dataclasses.replace(margin, total_interval=np.full_like(margin.total_interval, np.nan))
-    few = dataclasses.replace(found, indices=found.indices | {"margin": unbounded}).section().sentences[0]
+    few = dataclasses.replace(found, indices={**found.indices, "margin": unbounded}).section().sentences[0]
     assert f"({share:.0%}, no bootstrap interval with so few samples)" in few
-    other = found.indices | {"effort": dataclasses.replace(margin, total=10 * margin.total)}  # is not required
+    other = {**found.indices, "effort": dataclasses.replace(margin, total=10 * margin.total)}  # is not required
     assert dataclasses.replace(found, indices=other).section().sentences == found.section().sentences
     with pytest.raises(ValueError, match=r"quantity: expected one of margin, .*, got 'settling_time'"):
         found.ranking("settling_time")

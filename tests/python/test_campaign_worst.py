@@ -165,7 +165,7 @@ def test_the_smallest_margins_are_those_of_all_searches(tmp_path: Path, monkeypa
         case = hs.worst_case(result, runs=60, seed=seed)
         least = np.concatenate(tried).min(axis=0)
         assert case.margin == least.min()
-        assert [margin for _, margin in case.margins] == least[1:].tolist()  # completion has no margin of its own
+        assert [margin for _, margin in case.margins] == least[1:].tolist()  # none of completion
 
 
 def test_a_worse_run_outside_the_box_has_its_reason(tmp_path: Path) -> None:

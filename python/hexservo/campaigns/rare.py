@@ -211,10 +211,9 @@ def subset_simulation(
         correlated = 0.0 if level == 0 else _correlation(inside.reshape(length, chains))
         variation += math.sqrt((1 - share) / (share * len(values)) * (1 + correlated))
         probability *= share
-        if probability == 1.0:
-            variation = math.nan
         if final:
-            return Levels(probability, variation, tuple(thresholds), evaluations)
+            stated = variation if probability < 1.0 else math.nan
+            return Levels(probability, stated, tuple(thresholds), evaluations)
         if stays:
             break  # a margin that does not fall any more
         begin = order[: int(inside.sum())]
