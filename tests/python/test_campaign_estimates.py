@@ -16,7 +16,7 @@ from scipy.special import ndtri
 import hexservo as hs
 from hexservo.campaigns.distributions import uniform_of
 from hexservo.campaigns.plan import load_plan
-from hexservo.campaigns.rare import subset_simulation
+from hexservo.campaigns.rare import RareFailures, subset_simulation
 from hexservo.campaigns.sensitivity import sobol_indices
 from hexservo.findings.evidence import as_data
 from hexservo.scenario.arrays import Array
@@ -129,6 +129,14 @@ def test_subset_simulation_of_what_is_not_rare_or_never_fails() -> None:
     assert often.evaluations == 1000
     assert stats.binomtest(round(often.probability * 1000), 1000, 0.3).pvalue > 1e-3
     assert often.variation == pytest.approx(math.sqrt((1 - often.probability) / (1000 * often.probability)))
+    always = subset_simulation(lambda places, seeds: np.full(len(places), -1.0), 3, 1000, 1)
+    assert (often.not_rare, always.not_rare, always.probability) == (True, True, 1.0)
+    assert math.isnan(always.variation)
+    for levels in (often, always):
+        words = " ".join(RareFailures(load_plan(FILE), levels, 1).section().sentences)
+        assert f"{round(1000 * levels.probability)} of 1000 runs fail: that is not rare. Use a campaign" in words
+        assert "variation" not in words
+    assert not subset_simulation(half_space(0.02), 3, 1000, 1).not_rare
     never = subset_simulation(lambda places, seeds: np.ones(len(places)), 3, 1000, 1)
     assert (never.probability, never.variation) == (0.0, math.inf)
     with pytest.raises(ValueError, match="samples: expected an integer of at least 100, got 99"):
@@ -239,6 +247,17 @@ def test_an_output_that_varies_only_between_both_halves_has_no_indices() -> None
     assert sobol_indices(function, 2, 16, 3) == [None]
 
 
+def test_a_quantity_without_indices_has_its_reason() -> None:
+    short = hs.load_scenario("paper").updated({"simulation.duration": 0.05, "metrics.dwell": 0.01})
+    require = ["outcome == completed", "settling_time <= 0.03", "peak_error <= 1e6"]
+    file = {"scenario": short, "vary": {"uncertainty.gravity": {"normal": [0.0, 0.1]}}, "require": require, "runs": 1}
+    found = hs.sensitivity(file, samples=4)
+    sentences = found.section().sentences
+    print(sentences)
+    assert sentences[0] == "margin: no indices, since it is the same in all runs."
+    assert sentences[1] == "settling_time: no indices, since it has no value in 12 of 12 runs."
+
+
 def test_no_estimate_of_a_campaign_where_noise_decides() -> None:
     """Nothing but the noise of the camera varies; about one run in 1e5 fails."""
     scenario = FILE["scenario"].updated({"camera.noise": 1.0})
@@ -285,5 +304,11 @@ def test_estimates_of_a_campaign() -> None:
         scaled = {key: dataclasses.replace(each, total=scale * each.total) for key, each in found.indices.items()}
         last = dataclasses.replace(found, indices=scaled).section().sentences[-1]
         assert last.startswith("Estimates of indices may exceed 100 %") == (scale > 1)
+    margin = found.indices["margin"]
+    unbounded = dataclasses.replace(margin, total_interval=np.full_like(margin.total_interval, np.nan))
+    few = dataclasses.replace(found, indices={**found.indices, "margin": unbounded}).section().sentences[0]
+    assert f"({share:.0%}, no bootstrap interval with so few samples)" in few
+    other = {**found.indices, "effort": dataclasses.replace(margin, total=10 * margin.total)}  # is not required
+    assert dataclasses.replace(found, indices=other).section().sentences == found.section().sentences
     with pytest.raises(ValueError, match=r"quantity: expected one of margin, .*, got 'settling_time'"):
         found.ranking("settling_time")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 from pathlib import Path
@@ -15,8 +16,8 @@ from hexservo.campaigns.drawing import with_unit
 from hexservo.campaigns.intervals import anytime_interval
 from hexservo.campaigns.pictures import campaign_sections, influential
 from hexservo.draw.evidence import item_figure
-from hexservo.findings.evidence import Bars, Curves, Section, Share
-from hexservo.report.charts import bars
+from hexservo.findings.evidence import Bars, Curves, Line, Section, Share
+from hexservo.report.charts import bars, curves
 from hexservo.run.files import MARKER
 from test_campaign_engine import FILE, RUNS
 from test_campaign_search import SHORT
@@ -131,6 +132,18 @@ def test_a_run_that_ends_early_is_not_within_the_bound(tmp_path: Path) -> None:
     hs.write_campaign_report(result, pictures=True)
     names = {path.name for path in (result.folder / "pictures").glob("distributions-*.svg")}
     assert names == {f"distributions-{name}.svg" for name in ("peak-leg-force", "overshoot", "peak-leg-force-2")}
+
+
+def test_an_axis_within_one_decade_is_linear() -> None:
+    """There a logarithmic axis may have a single label."""
+    upper = Line("upper", np.array([1.0, 400.0]), np.array([0.7, 0.5]))
+    for low, kind in ((0.2, None), (0.01, "log")):
+        lines = [upper, Line("lower", np.array([1.0]), np.array([low]))]
+        found = str(curves(Curves("Failure probability", "runs", "probability", lines, x_log=True, y_log=True)))
+        (spec,) = re.findall(r"<script[^>]*>(\{.*?\})</script>", found)
+        layout = json.loads(spec)["layout"]
+        assert layout["yaxis"].get("type") == kind
+        assert layout["xaxis"]["type"] == "log"
 
 
 def test_a_bar_without_an_interval_has_none_in_the_page() -> None:

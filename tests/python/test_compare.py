@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import html
 import io
 import math
 import re
@@ -23,9 +24,10 @@ import hexservo as hs
 from hexservo.cli.commands import app
 from hexservo.draw.style import our_style
 from hexservo.run import compare
-from hexservo.run.comparison import COLUMNS
+from hexservo.run.comparison import COLUMNS, metric_text
 from hexservo.run.files import MARKER
-from hexservo.run.metrics import metric_unit
+from hexservo.run.metrics import metric_unit, readable, unsettled
+from hexservo.run.summary import summary_sentences
 from hexservo.scenario.laws import ALL_LAWS, LAWS
 from hexservo.scenario.wording import number as written
 
@@ -127,6 +129,37 @@ def test_verdicts_say_why(comparison: hs.Comparison) -> None:
     assert len(wrong_sign.error) == round(wrong_sign.end_time / 1e-3) + 1
     with pytest.raises(KeyError, match="a pair that was compared"):
         comparison.row("hybrid", "paper-minus")
+
+
+def test_an_error_just_above_the_band_is_not_written_as_the_band(paper: hs.Scenario) -> None:
+    result = hs.simulate(paper.updated({"simulation.duration": 0.02}))
+    left = hs.metrics(result)["final_error"]
+    near = result.scenario.updated({"metrics.band": left * (1 - 1e-6)})
+    text = unsettled(hs.metrics(result), near.metrics)
+    words = re.fullmatch(r"(.*) px from the goal at the end, above (.*) px", text)
+    assert words is not None
+    error, band = words.groups()
+    assert float(error) > float(band)
+    assert f"The largest feature error at the end is {error} px." in summary_sentences(replace(result, scenario=near))
+
+
+def test_rounding_is_not_written_as_a_result(comparison: hs.Comparison) -> None:
+    row = comparison.row("hybrid", "paper")
+    tiny = replace(row, metrics={**row.metrics, "final_error": 1.14e-13, "relative_overshoot": 1.55e-14})
+    by_name = {column.metric: metric_text(tiny, column) for column in COLUMNS}
+    assert (by_name["final_error"], by_name["relative_overshoot"]) == ("<1e-6", "<1e-6")
+    assert "1.14e-13" in replace(comparison, rows=(tiny,)).to_csv()
+    robot = row.scenario.robot
+    assert readable("peak_line_deviation", 1.421e-14, robot) == ("<1e-6", "px")
+    assert readable("peak_rotation", 7.95e-14, robot) == ("<1e-6", "mrad")
+    assert [readable("final_error", value, robot)[0] for value in (0.0, 1e-6)] == ["0", "1e-06"]
+    assert readable("peak_leg_force", 1e-12, robot) == ("1e-12", "N")
+    result = hs.simulate(hs.load_scenario("paper").updated({"simulation.duration": 0.02}))
+    rest = replace(result, streamed_metrics={**result.streamed_metrics, "final_error": 1e-13, "rms_error": 1e-14})
+    assert any(
+        re.fullmatch(r"The .* is less than 1e-6 px; from 1 s on their RMS is less than 1e-6 px\.", sentence)
+        for sentence in summary_sentences(rest)
+    )
 
 
 def test_a_law_that_refuses_a_scenario_is_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -295,7 +328,8 @@ UNITS = {CRANKS: ("mN m", 1e3, "mrad"), LEGS: ("N", 1.0, "mm")}  # of the peaks 
 def shown_legs(row: hs.ComparisonRow, *, with_unit: bool) -> list[str]:
     """What the two columns of the legs show, without marks."""
     effort, scale, travel = UNITS[row.scenario.name]
-    numbers = written(scale * row.metrics["peak_leg_force"]), written(1e3 * row.metrics["peak_leg_excursion"])
+    excursion = 1e3 * row.metrics["peak_leg_excursion"]
+    numbers = written(scale * row.metrics["peak_leg_force"]), "<1e-6" if excursion < 1e-6 else written(excursion)
     return [f"{text} {unit}" if with_unit else text for text, unit in zip(numbers, (effort, travel), strict=True)]
 
 
@@ -315,7 +349,7 @@ def test_units_follow_the_legs(names: list[str], monkeypatch: pytest.MonkeyPatch
         assert [cells[place].rstrip("!") for place in places] == shown_legs(row, with_unit=mixed)
     page = comparison._repr_html_()
     for row in comparison.rows:
-        assert all(f">{text}" in page for text in shown_legs(row, with_unit=mixed))
+        assert all(f">{html.escape(text)}" in page for text in shown_legs(row, with_unit=mixed))
 
     rows = list(csv.DictReader(io.StringIO(comparison.to_csv())))
     for text, row in zip(rows, comparison.rows, strict=True):

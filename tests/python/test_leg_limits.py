@@ -6,6 +6,7 @@ Rates and angles are computed from the logged poses, with SciPy's rotations and 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ from hexservo.findings.diagnosis.ranking import judged, make_cases
 from hexservo.findings.diagnosis.runs import record_of
 from hexservo.findings.diagnosis.words import misses
 from hexservo.findings.evidence import Table
-from hexservo.run.leg_limits import most_used
+from hexservo.run.leg_limits import LimitUse, limits_of_motion, most_used
 from hexservo.run.leg_motion import singular_passage
 from hexservo.run.summary import summary_sentences
 from hexservo.scenario.parameters import core_parameters
@@ -269,6 +270,16 @@ def test_a_run_beyond_speed_or_joint_limits_fails(machine: hs.Scenario, kind: st
         assert judgement.limits[metric] == pytest.approx(1.0 / share, rel=1e-3)
         clauses = misses(result, record_of(result), judgement)
         assert len(clauses) == judgement.failed
+
+
+def test_a_leg_just_beyond_its_stroke_is_not_written_as_at_its_stroke(paper: hs.Scenario) -> None:
+    result = hs.simulate(paper.updated({"simulation.duration": 0.3}))
+    beyond = replace(judged(result.scenario, record_of(result)), stroke=1 + 1e-6)
+    assert "a leg goes 17.00002 mm, beyond its stroke of 17 mm" in misses(result, record_of(result), beyond)
+    (stroke,) = (limit for limit in limits_of_motion(result.scenario) if limit.kind == "stroke")
+    assert LimitUse(stroke, 0.017 * (1 + 1e-6)).excess == (
+        "takes a leg 17.00002 mm from the middle of its travel, beyond its stroke of 17 mm"
+    )
 
 
 def test_a_goal_beyond_a_joint_limit_is_an_obstacle(machine: hs.Scenario) -> None:

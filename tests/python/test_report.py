@@ -39,7 +39,7 @@ from hexservo.run.samples import parts
 from hexservo.run.summary import summary_sentences
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.pixels import to_pixels
-from hexservo.scenario.wording import joules, number
+from hexservo.scenario.wording import apart, joules, number, percent_above, percent_below
 from test_leg_limits import METRICS as OF_LIMITS
 
 if TYPE_CHECKING:
@@ -147,7 +147,7 @@ def test_the_order_and_the_words(text: str) -> None:
     for sentence in (
         "The run completed: 5 s in continuous mode, controlled by the law hybrid.",
         "All features are within 2 px of their goals from 0.353 s on.",
-        "The largest feature error at the end is 0.0797 px; from 1 s on their RMS is 0.0519 px.",
+        "The largest feature error at the end is 0.07972 px; from 1 s on their RMS is 0.05187 px.",
         "warning A map : The largest stable period is 41 ms.",
         "not applicable Not for this law : Does not apply.",
         "Not available for this run: expected another law",
@@ -183,7 +183,7 @@ def test_metrics_versions_and_the_scenario_are_there(text: str, result: hs.Resul
         ),
         ({"simulation.duration": 0.01}, ["completed", "px from the goal at the end, above 2 px"]),
         ({"target.desired_features": [30.5, 18, 65, -65, -44, 37, -10, -15]}, ["stayed within 2 px from the start"]),
-        ({"robot.force_limit": 0.2}, ["0.3582 N of the 0.2 N allowed; that is 79% too much"]),
+        ({"robot.force_limit": 0.2}, ["0.3582 N of the 0.2 N allowed; that is 80% too much"]),
     ],
 )
 def test_the_summary_of_other_runs(changes: dict[str, Any], expected: list[str]) -> None:
@@ -456,6 +456,18 @@ def test_numbers_below_a_million_have_no_exponent() -> None:
     assert joules(78.8, 3, "W") == "78.8 W"
 
 
+def test_a_value_is_not_written_as_the_limit_from_which_it_differs() -> None:
+    assert [apart(value, 4.0) for value in (4.0, 3.9999, 4.000012, 4.0 + 1e-12, 4.0 - 1e-12)] == [
+        ("4", "4"),
+        ("3.9999", "4"),
+        ("4.00001", "4"),
+        ("just above 4", "4"),
+        ("just below 4", "4"),
+    ]
+    assert [percent_above(share) for share in (0.0, 1e-9, 0.5 + 1e-12, 0.501)] == ["0%", "less than 1%", "50%", "51%"]
+    assert [percent_below(share) for share in (0.0, 1e-9, 1 - 0.8, 0.209)] == ["0%", "less than 1%", "20%", "20%"]
+
+
 def test_the_summary_begins_with_the_worst_finding(monkeypatch: pytest.MonkeyPatch, result: hs.Result) -> None:
     verdicts: tuple[Literal["open", "good", "bad", "warning"], ...] = ("open", "good", "bad", "warning", "bad")
     sections = [Section(f"s{place}", f"Title {place}", ["Words."], verdict=v) for place, v in enumerate(verdicts)]
@@ -476,6 +488,8 @@ def test_a_limit_that_is_far_exceeded_is_a_multiple(result: hs.Result) -> None:
         (0.5, "50% of it is left"),
         (1.5, "that is 50% too much"),
         (1747.0, "that is 1750 times as much"),
+        (1 - 1e-6, "is 0.999999 N of the 1 N allowed; less than 1% of it is left"),
+        (1 + 1e-6, "is 1.000001 N of the 1 N allowed; that is less than 1% too much"),
     ):
         measured = {**result.streamed_metrics, "peak_leg_force": force * result.scenario.robot.force_limit}
         assert words in summary_sentences(replace(result, streamed_metrics=measured))[-1]
@@ -724,14 +738,14 @@ def test_the_slider_moves_the_machine_and_the_button_plays(visit: Callable[..., 
     end = pixels(shown)
     assert len(np.unique(end.reshape(-1, end.shape[-1]), axis=0)) > 50  # a picture, not an empty canvas
     np.testing.assert_array_equal(pixels(shown), end)  # it changes for no other reason
-    assert "t = 5.000 s" in shown.locator("#readout").inner_text()
+    assert "t = 5.000 s; largest feature error 0.07972 px;" in shown.locator("#readout").inner_text()
     shown.locator("#instant").focus()
     shown.keyboard.press("Home")
     until(shown, "document.getElementById('readout').textContent.startsWith('t = 0.000 s')")
     give_up = time.monotonic() + PATIENCE
     while (np.abs(pixels(shown) - end).max(axis=-1) > 0.1).sum() <= 20:
         assert time.monotonic() < give_up, "the picture does not change"
-    assert "largest feature error 20.0 px" in shown.locator("#readout").inner_text()
+    assert "largest feature error 20 px" in shown.locator("#readout").inner_text()
     shown.keyboard.press("ArrowRight")
     until(shown, "document.getElementById('instant').getAttribute('aria-valuetext') !== 't = 0.000 s'")
     shown.locator("#play").click()

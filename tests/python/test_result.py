@@ -210,6 +210,8 @@ def test_events_read_as_sentences() -> None:
     force = hs.LimitEvent("force", 6, 1.0, 1.25, 1.0)
     assert str(stroke) == "leg 3 exceeded its stroke of 17 mm at t = 0.25 s (peak 18.3 mm)"
     assert str(force) == "leg 6 exceeded its force limit of 1 N at t = 1 s (peak 1.25 N)"
+    near = hs.LimitEvent("stroke", 3, 0.25, 0.017 * (1 + 1e-6), 0.017)
+    assert str(near) == "leg 3 exceeded its stroke of 17 mm at t = 0.25 s (peak 17.00002 mm)"
 
 
 # ---- The dataset ----------------------------------------------------------------------------------------------------

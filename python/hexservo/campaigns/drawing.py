@@ -101,14 +101,22 @@ class Drawing:
         return sum(one.count for one in self._keys if one.variation.kind != SEED)
 
     def shares(self, run: int) -> Array:
-        """Return the place of a run in the box of the variations, (dimension,), from 0 to 1 each."""
+        """Return the place of a run in the box of the variations, (dimension,), 0 to 1 each; its ends for beyond."""
+        return np.concatenate([np.empty(0), *(one.share_of(numbers) for one, numbers in self._drawn(run))])
+
+    def outside(self, run: int) -> list[str]:
+        """Return the `names` of the numbers of a run that lie outside the box of the variations."""
+        beyond = [(numbers < one.box[0]) | (numbers > one.box[1]) for one, numbers in self._drawn(run)]
+        return [name for name, is_beyond in zip(self.names, np.concatenate([[], *beyond]), strict=True) if is_beyond]
+
+    def _drawn(self, run: int) -> list[tuple[Variation, Array]]:
+        """Return each variation but that of seeds, with the numbers of a run."""
         bits = self._bits(run, run + 1)[0]
-        parts = [
-            one.variation.share_of(one.variation.numbers(uniform_of(bits[one.start : one.start + one.count])))
+        return [
+            (one.variation, one.variation.numbers(uniform_of(bits[one.start : one.start + one.count])))
             for one in self._keys
             if one.variation.kind != SEED
         ]
-        return np.concatenate([np.empty(0), *parts])
 
     def numbers_at(self, shares: Array, run: int) -> dict[str, NDArray[Any]]:
         """Return numbers as `numbers` does, for places in the box, (n, dimension), with the seed of a run."""

@@ -38,7 +38,9 @@ class Levels:
     """What subset simulation found."""
 
     probability: float  # estimate that the margin is negative; 0 if no level reached it; NaN if noise decides
-    variation: float  # largest coefficient of variation of the estimate, whatever the correlation of its levels
+    # largest coefficient of variation of the estimate, whatever the correlation of its levels; NaN where all runs of
+    # the first level fail, which has none
+    variation: float
     thresholds: tuple[float, ...]  # margins of the levels, falling
     evaluations: int
     kinds: float = math.inf  # of noise in the last level, in effect, where few chains change theirs; inf: they do
@@ -47,6 +49,11 @@ class Levels:
     def noise_decides(self) -> bool:
         """Whether the chains ended since few kinds of noise were left in them: there is no estimate."""
         return self.kinds < _FEWEST_KINDS
+
+    @property
+    def not_rare(self) -> bool:
+        """Whether a tenth or more of the first level fails, whose runs are drawn as those of a campaign."""
+        return len(self.thresholds) == 1 and self.probability >= _SHARE
 
 
 @described
@@ -74,6 +81,13 @@ class RareFailures(Findings):
                 f"The chains of {how} ended there. More samples may help; a campaign needs none of this, and its "
                 "interval is a bound.",
             ]
+        elif levels.not_rare:
+            failed = round(levels.probability * levels.evaluations)
+            sentences = [
+                f"{failed} of {levels.evaluations} runs fail: that is not rare. Use a campaign, whose interval is a "
+                "bound.",
+                f"They are the first level of {how}, which needs no other one.",
+            ]
         else:
             first = f"No level reached a failure: the smallest margin is {number(levels.thresholds[-1])}."
             if levels.probability > 0:
@@ -88,7 +102,7 @@ class RareFailures(Findings):
         rows: list[list[Cell]] = [[place, margin] for place, margin in enumerate(levels.thresholds)]
         table = Table("Levels", (Column("level"), Column("margin")), rows, "", "docs/campaigns.md")
         data = {"probability": levels.probability, "variation": levels.variation, "evaluations": levels.evaluations}
-        data |= {"noise_decides": levels.noise_decides}
+        data |= {"noise_decides": levels.noise_decides, "not_rare": levels.not_rare}
         return Section("rare_failures", "Rare failures", sentences, [table], "open", data)
 
 
@@ -198,7 +212,8 @@ def subset_simulation(
         variation += math.sqrt((1 - share) / (share * len(values)) * (1 + correlated))
         probability *= share
         if final:
-            return Levels(probability, variation, tuple(thresholds), evaluations)
+            stated = variation if probability < 1.0 else math.nan
+            return Levels(probability, stated, tuple(thresholds), evaluations)
         if stays:
             break  # a margin that does not fall any more
         begin = order[: int(inside.sum())]

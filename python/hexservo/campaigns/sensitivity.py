@@ -46,6 +46,7 @@ class Sensitivity(Findings):
     plan: CampaignPlan  # whose inputs vary
     inputs: tuple[str, ...]  # d numbers that vary: ``target.rotation[0]``; ``seed`` stands for all noise
     indices: Mapping[str, Indices]  # "margin" or a metric of `hs.METRICS` -> indices
+    without: Mapping[str, str]  # that which has none -> why, as a clause
     runs: int  # that were simulated
     seed: int  # of the draws
 
@@ -69,14 +70,20 @@ class Sensitivity(Findings):
     def section(self) -> Section:
         """Return the most influential inputs of the margin and of each required metric, with a table for the margin."""
         sentences = []
-        required = [one.name for one in self.plan.require]
-        for quantity in (name for name in self.indices if name == "margin" or name in required):
+        required = {one.name for one in self.plan.require}
+        asked = [name for name in ("margin", *METRICS) if name == "margin" or name in required]
+        for quantity in asked:
+            if quantity not in self.indices:
+                sentences.append(f"{quantity}: no indices, since {self.without[quantity]}.")
+                continue
             (one, share), *others = self.ranking(quantity)
             second = f", then {others[0][0]} ({others[0][1]:.0%})" if others else ""
-            low, high = self.indices[quantity].total_interval[self.inputs.index(one)]
-            largest = f"{share:.0%}, bootstrap interval at 95 %: {low:.0%} to {high:.0%}"
-            sentences.append(f"{quantity}: {one} has the largest total index ({largest}){second}.")
-        if any((found.total > 1.0).any() for found in self.indices.values()):
+            ends = self.indices[quantity].total_interval[self.inputs.index(one)]
+            interval = "no bootstrap interval with so few samples"
+            if np.isfinite(ends).all():
+                interval = f"bootstrap interval at 95 %: {ends[0]:.0%} to {ends[1]:.0%}"
+            sentences.append(f"{quantity}: {one} has the largest total index ({share:.0%}, {interval}){second}.")
+        if any((self.indices[name].total > 1.0).any() for name in asked if name in self.indices):
             sentences.append("Estimates of indices may exceed 100 %, which no index does; more samples narrow them.")
         items: list[Item] = []
         if "margin" in self.indices:
@@ -147,6 +154,7 @@ def sensitivity(
     drawing = judge.drawing
     inputs = (*drawing.names, *(["seed"] if drawing.has_seed else []))
     quantities: list[str] = []
+    tried: list[Array] = []
 
     def outputs(uniform: Array) -> Array:
         points = between_ends(uniform.T)
@@ -154,11 +162,21 @@ def sensitivity(
         numbers = drawing.numbers_of(points[:, : drawing.dimension], seeds)
         margins, batch = judge.judged(numbers)
         quantities[:] = ["margin", *batch.metrics]
-        return np.stack([margins.min(axis=1), *batch.metrics.values()])
+        tried.append(np.stack([margins.min(axis=1), *batch.metrics.values()]))
+        return tried[-1]
 
     found = sobol_indices(outputs, len(inputs), samples, seed)
     indices = {name: each for name, each in zip(quantities, found, strict=True) if each is not None}
-    return Sensitivity(plan, inputs, indices, judge.runs, seed)
+    values = dict(zip(quantities, np.concatenate(tried, axis=1), strict=True))
+    without = {name: _why_none(values[name]) for name in quantities if name not in indices}
+    return Sensitivity(plan, inputs, indices, without, judge.runs, seed)
+
+
+def _why_none(values: Array) -> str:
+    """Return why there are no indices of a quantity with these values, (n,)."""
+    if missing := int((~np.isfinite(values)).sum()):
+        return f"it has no value in {missing} of {len(values)} runs"
+    return "it is the same in all runs" if np.ptp(values) == 0 else "it varies in too few of the samples"
 
 
 @contextlib.contextmanager

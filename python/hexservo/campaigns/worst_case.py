@@ -12,7 +12,7 @@ import numpy as np
 
 from hexservo.campaigns.judging import Judge
 from hexservo.campaigns.result import CampaignResult, command_with_changes
-from hexservo.campaigns.store import require_own_scenario, write_scenario
+from hexservo.campaigns.store import WORST, require_own_scenario, write_scenario
 from hexservo.findings.diagnosis import diagnose
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Cell, Column, Section, Table
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 CASE = "worst-case.yaml"
 _POPULATION = 12  # candidates of a generation, at least
+_NAMED = 3  # numbers of a run outside the box, in its sentence
 _SIGMA = 0.3  # first spread of the candidates, in parts of the box
 MAX_SEED = 2**31 - 1
 """Largest seed of a search: CMA-ES takes 32 bits, and what follows from a seed is larger than it."""
@@ -43,8 +44,9 @@ class WorstCase(Findings):
     scenario: Scenario  # of the run with the smallest margin: `hs.simulate` repeats it
     path: Path  # of its file, in the campaign's folder
     margin: float  # smallest one of its requirements; negative: it fails
-    margins: tuple[tuple[str, float], ...]  # requirement, smallest margin that was found for it alone
+    margins: tuple[tuple[str, float], ...]  # requirement, its smallest margin in any run of the search
     drawn_margin: float  # smallest one of the campaign's own runs
+    outside: tuple[str, ...]  # numbers of that run which lie outside the box
     runs: int  # that were simulated
     seed: int  # of the search
     command: str  # that runs the packaged scenario with what varies; "" where the campaign varies no packaged one
@@ -62,6 +64,12 @@ class WorstCase(Findings):
             f"own runs is {number(self.drawn_margin)}.",
             f"It is the worst of {self.runs} runs of a search (seed {self.seed}), which proves no bound.",
         ]
+        if self.drawn_margin < self.margin and self.outside:
+            more = f" and {len(self.outside) - _NAMED} more" if len(self.outside) > _NAMED else ""
+            sentences.append(
+                f"{WORST} has the campaign's own worst run, which is worse: outside of the box that is searched lies "
+                f"its {', '.join(self.outside[:_NAMED])}{more}."
+            )
         if self.diagnosis is not None and self.diagnosis.failed:
             sentences.append(self.diagnosis.section().sentences[0])
         rows: list[list[Cell]] = [["all together", self.margin]]
@@ -123,24 +131,27 @@ def worst_case(
     if not starts or not drawing.dimension:
         raise ValueError("result: expected a campaign with runs, in which more than seeds varies")
 
-    def search(columns: Sequence[int]) -> tuple[float, Array, int]:
-        found: list[tuple[float, Array, int]] = []
-        for start in starts:
+    # over all searches: the smallest margin of a run, with where it is, and that of each requirement
+    margin, place, start = math.inf, drawing.shares(starts[0]), starts[0]
+    least = np.full(len(plan.require), math.inf)
 
-            def smallest(shares: Array, start: int = start) -> Array:
-                margins, _ = judge.judged(drawing.numbers_at(shares, start))
-                return np.asarray(margins[:, columns].min(axis=1))
+    def search(columns: Sequence[int], begin: int) -> None:
+        def smallest(shares: Array) -> Array:
+            nonlocal margin, place, start, least
+            margins, _ = judge.judged(drawing.numbers_at(shares, begin))
+            least = np.minimum(least, margins.min(axis=0))
+            worst = int(margins.min(axis=1).argmin())
+            if margins[worst].min() < margin:
+                margin, place, start = float(margins[worst].min()), shares[worst], begin
+            return np.asarray(margins[:, columns].min(axis=1))
 
-            budget = runs // len(starts)
-            place, margin = smallest_in_box(smallest, drawing.shares(start), budget, seed + 1 + start)
-            found.append((margin, place, start))
-        return min(found, key=lambda one: one[0])
+        smallest_in_box(smallest, drawing.shares(begin), runs // len(starts), seed + 1 + begin)
 
-    found = [search(range(len(plan.require)))]
-    alone = [column for column, one in enumerate(plan.require) if one.name != "outcome"]
-    if len(plan.require) > 1:  # a run that does not complete fails them all
-        found += [search([column]) for column in alone]
-    margin, place, start = min(found, key=lambda one: one[0])
+    # a run that does not complete fails every requirement
+    alone = [column for column, one in enumerate(plan.require) if one.name != "outcome" and len(plan.require) > 1]
+    for columns in (range(len(plan.require)), *([column] for column in alone)):
+        for begin in starts:
+            search(columns, begin)
     law = judge.base.controller.law
     drawn = drawing.variations(drawing.numbers_at(place[None], start))
     changes = drawing.base | changes_of_run(drawn, law)
@@ -150,8 +161,9 @@ def worst_case(
         scenario,
         result.folder / CASE,
         margin,
-        tuple((str(plan.require[column]), each[0]) for column, each in zip(alone, found[1:], strict=False)),
+        tuple((str(plan.require[column]), float(least[column])) for column in alone),
         float(result.summary["worst"][0]["margin"]),
+        tuple(drawing.outside(starts[0])),
         judge.runs,
         seed,
         command_with_changes(changes, scenario),

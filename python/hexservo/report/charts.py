@@ -109,9 +109,14 @@ def curves(item: Curves) -> Html:
 
 
 def _logarithmic(values: Sequence[Array]) -> Spec:
-    """Make an axis logarithmic, with labels at whole decades, or at 1, 2 and 5 if there are fewer than two."""
+    """Make an axis logarithmic, with labels at whole decades, or at 1, 2 and 5 if there are fewer than two.
+
+    Within one decade the axis stays linear: a logarithmic one may have a single label there.
+    """
     positive = np.concatenate([part[np.isfinite(part) & (part > 0)] for part in values] or [np.empty(0)])
     decades = math.log10(positive.max() / positive.min()) if len(positive) else 0.0
+    if decades < 1:
+        return {}
     if decades < 2:
         return {"type": "log", "dtick": "D2"}
     return {"type": "log", "dtick": max(1, math.ceil(decades / 6))}

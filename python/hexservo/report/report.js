@@ -296,7 +296,8 @@
       showImage(frame);
       const vector = (values) => [...values.subarray(3 * frame, 3 * frame + 3)].map((value) => (Math.round(value * 100) / 100 || 0).toFixed(2)).join(", ");
       const error = runs.error[frame];
-      const text = `t = ${runs.time[frame].toFixed(3)} s; largest feature error ${error.toPrecision(3)} px; ` +
+      const shown = error > 0 && error < 1e-6 ? "<1e-6" : Number(error.toPrecision(4)); // as metrics.shown_number
+      const text = `t = ${runs.time[frame].toFixed(3)} s; largest feature error ${shown} px; ` +
         `moved (${vector(runs.displacement)}) mm; turned (${vector(runs.turn)}) mrad; ${nearestLimit(frame)}`;
       readout.textContent = text;
       slider.setAttribute("aria-valuetext", `t = ${runs.time[frame].toFixed(3)} s`);

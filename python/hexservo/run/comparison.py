@@ -17,11 +17,10 @@ from hexservo.run.display import comparison_text
 from hexservo.run.drawn import figure_of, html_of, image_of
 from hexservo.run.files import write_folder
 from hexservo.run.leg_limits import leg_limits
-from hexservo.run.metrics import METRICS, metric_unit, readable_unit, unsettled
+from hexservo.run.metrics import METRICS, metric_unit, readable_unit, shown_number, unsettled
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.fields import described
 from hexservo.scenario.scenario import Scenario
-from hexservo.scenario.wording import number
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -236,13 +235,13 @@ def shared_unit(rows: Iterable[ComparisonRow], column: MetricColumn) -> str:
 
 
 def metric_text(row: ComparisonRow, column: MetricColumn, *, with_unit: bool = False) -> str:
-    """Write one number of the table; "-" where there is none, "!" if it exceeds a limit."""
+    """Write one number of the table; "-" where there is none, "<1e-6" for rounding, "!" if it exceeds a limit."""
     unit, scale = _unit(row, column)
     value = row.metrics.get(column.metric, math.nan) * scale
     if math.isnan(value):
         return "never" if column.metric == "settling_time" and row.outcome == "completed" else "-"
     exceeded = "!" if column.limit in row.passed_limits else ""
-    return f"{number(value)}{f' {unit}' if with_unit else ''}{exceeded}"
+    return f"{shown_number(value, unit, 3)}{f' {unit}' if with_unit else ''}{exceeded}"
 
 
 def _unit(row: ComparisonRow, column: MetricColumn) -> tuple[str, float]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from hexservo.run.metrics import metric_unit, readable_unit
 from hexservo.scenario.leg_units import leg_units
 from hexservo.scenario.scenario import Scenario
-from hexservo.scenario.wording import number
+from hexservo.scenario.wording import apart, number
 
 
 @dataclass(frozen=True)
@@ -46,13 +46,14 @@ class LimitUse:
     def excess(self) -> str:
         """What a run beyond the limit does, as a clause that follows its subject."""
         unit, scale = readable_unit(self.limit.unit)
-        value = f"{number(self.peak * scale)} {unit}"
+        peak, allowed = apart(self.peak * scale, self.limit.value * scale, 3)
+        value = f"{peak} {unit}"
         return {
             "stroke": f"takes a leg {value} from the middle of its travel, beyond its stroke",
             "speed": f"moves a leg at {value}, beyond its speed limit",
             "base_joint": f"tilts a leg by {value} at the base, beyond its joint limit",
             "platform_joint": f"tilts a leg by {value} at the platform, beyond its joint limit",
-        }[self.limit.kind] + f" of {self.limit.text}"
+        }[self.limit.kind] + f" of {allowed} {unit}"
 
 
 def leg_limits(scenario: Scenario) -> tuple[LegLimit, ...]:

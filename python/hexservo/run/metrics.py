@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from hexservo.scenario.leg_units import unit_of
 from hexservo.scenario.rules import did_you_mean
-from hexservo.scenario.wording import number, several_names, wrong_type
+from hexservo.scenario.wording import apart, number, several_names, wrong_type
 
 if TYPE_CHECKING:
     from hexservo.run.result import Result
@@ -51,6 +51,11 @@ _READABLE_UNITS = {
     "N m": ("mN m", 1e3),
     "1": ("%", 100.0),
 }
+
+
+# What is less is rounding: a double leaves about 1e-10 of these, and no goal of a run is as small.
+_FLOOR = 1e-6
+_ROUNDED_UNITS = ("px", "mm", "mrad", "%")
 
 
 def asked_metrics(names: Any) -> tuple[str, ...]:
@@ -103,7 +108,19 @@ def unsettled(values: Mapping[str, float], measured: Metrics) -> str:
     """
     if values["final_error"] <= measured.band:
         return f"within {measured.band:g} px at the end, but for less than {measured.dwell:g} s"
-    return f"{number(values['final_error'], 4)} px from the goal at the end, above {measured.band:g} px"
+    left, band = left_and_band(values, measured)
+    return f"{left} px from the goal at the end, above {band} px"
+
+
+def left_and_band(values: Mapping[str, float], measured: Metrics) -> tuple[str, str]:
+    """Return the largest feature error at the end and the band, in px, as `apart`; arguments as for `unsettled`.
+
+    An error that is rounding reads as in a table, "<1e-6", unless the band itself is as small.
+    """
+    left, band = apart(values["final_error"], measured.band)
+    if values["final_error"] < _FLOOR <= measured.band:
+        left = shown_number(values["final_error"], "px")
+    return left, band
 
 
 def shown_metrics(result: Result) -> dict[str, float]:
@@ -122,7 +139,12 @@ def readable(name: str, value: float, robot: Robot) -> tuple[str, str]:
     if value != value:
         return "never" if name == "settling_time" else "none", ""  # NaN: docs/model.md section 8
     unit, scale = readable_unit(metric_unit(name, robot))
-    return f"{number(value * scale, 4)}", unit
+    return shown_number(value * scale, unit), unit
+
+
+def shown_number(value: float, unit: str, digits: int = 4) -> str:
+    """Write a number of a table for people, as `number`; what rounding leaves of zero is "<1e-6", by its unit."""
+    return "<1e-6" if unit in _ROUNDED_UNITS and 0.0 < value < _FLOOR else number(value, digits)
 
 
 def readable_unit(unit: str) -> tuple[str, float]:

@@ -16,7 +16,7 @@ from hexservo.scenario.fields import described
 from hexservo.scenario.leg_units import unit_of
 from hexservo.scenario.pixels import desired_features, to_pixels
 from hexservo.scenario.version import VERSION
-from hexservo.scenario.wording import wrong_type
+from hexservo.scenario.wording import apart, wrong_type
 
 if TYPE_CHECKING:
     import pandas
@@ -108,9 +108,8 @@ class LimitEvent:
         unit, scale = readable_unit(self.unit)
         what = _LIMITS[self.kind][1].format(self.leg)
         what = what.replace("force", "torque") if self.rotary else what
-        return (
-            f"{what} of {self.limit * scale:.4g} {unit} at t = {self.time:.4g} s (peak {self.peak * scale:.4g} {unit})"
-        )
+        peak, limit = apart(self.peak * scale, self.limit * scale)
+        return f"{what} of {limit} {unit} at t = {self.time:.4g} s (peak {peak} {unit})"
 
 
 @described

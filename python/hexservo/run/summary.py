@@ -8,10 +8,10 @@ import numpy as np
 
 from hexservo.run.leg_limits import leg_limits
 from hexservo.run.leg_motion import singular_passage
-from hexservo.run.metrics import metrics, readable, unsettled
+from hexservo.run.metrics import left_and_band, metrics, readable_unit, shown_number, unsettled
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.pixels import points_outside
-from hexservo.scenario.wording import number, quantity
+from hexservo.scenario.wording import apart, number, percent_above, percent_below, quantity
 
 if TYPE_CHECKING:
     from hexservo.run.result import Result
@@ -82,10 +82,12 @@ def _settling(result: Result) -> str:
 
 def _residual(result: Result) -> str:
     values = metrics(result)
-    text = f"The largest feature error at the end is {number(values['final_error'])} px"
+    left, _ = left_and_band(values, result.scenario.metrics)
+    text = f"The largest feature error at the end is {left} px"
     rms = values["rms_error"]
-    start = result.scenario.metrics.rms_start
-    return text + (f"; from {start:g} s on their RMS is {number(rms)} px." if rms == rms else ".")
+    if rms == rms:
+        text += f"; from {result.scenario.metrics.rms_start:g} s on their RMS is {shown_number(rms, 'px')} px"
+    return text.replace("<", "less than ") + "."
 
 
 def _legs(result: Result) -> list[str]:
@@ -93,13 +95,16 @@ def _legs(result: Result) -> list[str]:
     values = metrics(result)
     sentences = []
     for limit in leg_limits(result.scenario):
-        found, shown = readable(limit.metric, values[limit.metric], result.scenario.robot)
+        unit, scale = readable_unit(limit.unit)
+        found, allowed = apart(values[limit.metric] * scale, limit.value * scale)
         share = values[limit.metric] / limit.value
         if share <= 1:
-            verdict = f"{1 - share:.0%} of it is left"
+            verdict = f"{percent_below(1 - share)} of it is left"
+        elif share < 3:
+            verdict = f"that is {percent_above(share - 1)} too much"
         else:
-            verdict = f"that is {share - 1:.0%} too much" if share < 3 else f"that is {number(share)} times as much"
-        sentences.append(f"The largest {limit.of_leg} is {found} {shown} of the {limit.text} allowed; {verdict}.")
+            verdict = f"that is {number(share)} times as much"
+        sentences.append(f"The largest {limit.of_leg} is {found} {unit} of the {allowed} {unit} allowed; {verdict}.")
     passage = singular_passage_sentence(result)
     return sentences if passage is None else [*sentences, passage]
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import decimal
+import math
 import operator
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 
 def number(value: float, digits: int = 3) -> str:
@@ -25,6 +26,37 @@ def above(value: float, digits: int = 3) -> str:
 
 def _rounded(value: float, digits: int, direction: str) -> str:
     return number(float(decimal.Context(digits, direction).create_decimal_from_float(value)), digits)
+
+
+_MOST_DIGITS = 8  # that two numbers are given to differ
+
+
+def apart(value: float, limit: float, digits: int = 4) -> tuple[str, str]:
+    """Write a value and what it is compared with, as `number`, with as many digits as they need to differ.
+
+    Numbers that 8 digits do not tell apart are "just above" or "just below" each other; equal ones have one text.
+    """
+    for many in range(digits, _MOST_DIGITS + 1):
+        texts = number(value, many), number(limit, many)
+        if texts[0] != texts[1]:
+            return texts
+    written = number(limit, digits)
+    return written if value == limit else f"just {'above' if value > limit else 'below'} {written}", written
+
+
+def percent_above(share: float) -> str:
+    """Write a positive share in whole percents, rounded up; what is less than one is "less than 1%"."""
+    return _percent(share, math.ceil)
+
+
+def percent_below(share: float) -> str:
+    """Write a share in whole percents, as `percent_above` but rounded down."""
+    return _percent(share, math.floor)
+
+
+def _percent(share: float, whole: Callable[[float], int]) -> str:
+    # 9 decimals: 100 (1 - 0.8) has an error of its last digits, which makes no percent
+    return "less than 1%" if 0.0 < share < 0.01 else f"{whole(round(100.0 * share, 9))}%"
 
 
 _PREFIXES = (("", 1.0), ("m", 1e3), ("u", 1e6), ("n", 1e9))

@@ -11,7 +11,7 @@ from hexservo.findings.diagnosis.findings import Finding, Remedy
 from hexservo.run.leg_limits import LimitUse, limits_of_motion
 from hexservo.run.result import Result
 from hexservo.scenario.leg_units import leg_units
-from hexservo.scenario.wording import number
+from hexservo.scenario.wording import apart, number
 
 FEW = 40  # samples, or steps
 _NEAR = 0.7  # share of a limit beyond which there is a warning
@@ -48,14 +48,12 @@ def misses(result: Result, record: Record, judgement: Judgement) -> tuple[str, .
     if judgement.early:
         return (result.detail.rstrip("."),)
     stroke, unit = result.scenario.robot.stroke, leg_units(result.scenario.robot).small
-    allowed = stroke / DRIFT_TIME * 1e3
+    travel, most_travel = apart(judgement.stroke * stroke * 1e3, stroke * 1e3, 3)
+    drift, most_drift = apart(record.drift * 1e3, stroke / DRIFT_TIME * 1e3, 2)
     clauses = {_not_settled(result, judgement): 0.0 if judgement.settled else judgement.error}
     clauses |= {
-        f"a leg goes {number(judgement.stroke * stroke * 1e3)} {unit}, beyond its stroke of "
-        f"{number(stroke * 1e3)} {unit}": (judgement.stroke),
-        f"a leg still moves at {number(record.drift * 1e3, 2)} {unit}/s at the end, above {allowed:.2g} {unit}/s": (
-            judgement.drift
-        ),
+        f"a leg goes {travel} {unit}, beyond its stroke of {most_travel} {unit}": judgement.stroke,
+        f"a leg still moves at {drift} {unit}/s at the end, above {most_drift} {unit}/s": judgement.drift,
     }
     clauses |= {use.excess: use.share for use in _uses(result, judgement)}
     return tuple(clause for clause, ratio in clauses.items() if ratio > 1.0)
@@ -69,10 +67,8 @@ def _uses(result: Result, judgement: Judgement) -> list[LimitUse]:
 
 def _not_settled(result: Result, judgement: Judgement) -> str:
     metrics = result.scenario.metrics
-    return (
-        f"not settled: {number(judgement.error * metrics.band)} px in the last {number(metrics.dwell)} s, outside the "
-        f"band of {number(metrics.band)} px"
-    )
+    error, band = apart(judgement.error * metrics.band, metrics.band, 3)
+    return f"not settled: {error} px in the last {number(metrics.dwell)} s, outside the band of {band} px"
 
 
 def criteria_met(result: Result, record: Record, judgement: Judgement) -> tuple[str, ...]:
