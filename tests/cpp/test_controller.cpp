@@ -299,7 +299,7 @@ TEST_CASE("every law: NaN or infinity in any entry gives the safe output, and go
 
 TEST_CASE("a reading that is wrong by itself is not held, whichever of the first three without the law it is") {
   Settings settings = settings_for(SwitchingKind::tanh);
-  settings.controller.safe.hold << 200.0, 200.0, 200.0, 2.0, 2.0, 2.0;
+  settings.controller.safe.hold = (Vector6<double>() << 200.0, 200.0, 200.0, 2.0, 2.0, 2.0).finished();
   const Gains gains = controller_gains<Hybrid>(settings, kPeriod);
   Random random(79);
   CAPTURE(random.seed());

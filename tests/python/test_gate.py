@@ -55,20 +55,22 @@ def test_exchanged_points_do_not_reach_the_law(machine: hs.Scenario, policy: str
     wrong[:4] = right[[2, 3, 0, 1]]
     depth = np.full(4, -0.5)
 
-    def last_wrench(exchanged: range) -> np.ndarray:
-        controller = hs.Controller(scenario)
+    def wrenches(gate: float | None, exchanged: range) -> np.ndarray:
+        controller = hs.Controller(scenario.updated({"camera.gate": gate}))
+        found = []
         for tick in range(1200):
-            given = {}
-            if tick % 33 == 0:
-                frame = tick // 33
-                given = {"features": wrong if frame in exchanged else right, "depth": depth, "exposure": 1e-3 * tick}
-            out = controller.step(**given, leg_lengths=legs, now=1e-3 * tick)
+            frame, is_new = divmod(tick, 33)
+            features = None if is_new else wrong if frame in exchanged else right
+            exposure = None if is_new else 1e-3 * tick
+            out = controller.step(features=features, depth=depth, exposure=exposure, leg_lengths=legs, now=1e-3 * tick)
+            found.append(out.wrench)
         assert out.status == "valid"
-        return np.array(out.wrench)
+        return np.array(found[20 * 33 :])
 
-    undisturbed = last_wrench(range(0))
+    undisturbed = wrenches(5.0, range(0))
     for exchanged in (range(20, 21), range(20, 30), range(1)):
-        np.testing.assert_allclose(last_wrench(exchanged), undisturbed, rtol=0.0, atol=1e-3)
+        np.testing.assert_allclose(wrenches(5.0, exchanged), undisturbed, rtol=0.0, atol=1e-3)
+    assert abs(wrenches(None, range(20, 30)) - undisturbed).max() > 0.01
 
 
 def test_diagnose_offers_a_gate_against_outliers(machine: hs.Scenario) -> None:
