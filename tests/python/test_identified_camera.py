@@ -10,7 +10,7 @@ from scipy.stats import binom
 import hexservo as hs
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.evidence import Table
-from hexservo.findings.identification.changes import changes_of, of_law
+from hexservo.findings.identification.changes import changes_of, faults_of, of_law
 from hexservo.findings.identification.drives import fit_drives
 from hexservo.findings.identification.frame_clock import clock
 from hexservo.findings.identification.frames import CameraFit, fit_camera
@@ -115,6 +115,41 @@ def test_jitter_is_found_from_motion_and_is_no_noise(paper: hs.Scenario) -> None
     assert still.jitter is None
     assert still.noise is not None
     assert still.noise.value == pytest.approx(camera.noise.value, rel=0.15)
+
+
+def test_exposure_times_that_are_wrong_are_a_fault_and_no_key(paper: hs.Scenario) -> None:
+    log = seen_log(paper, 0.05, stamps=0.008)
+    camera = fit_camera(log, Scene(paper))
+    scenario = paper.updated({"simulation.mode": "sampled", "simulation.step": 0.01, "camera.latency": 0.05})
+    assert faults_of(log, scenario, camera) == {"uncertainty.latency": -0.01}
+    assert not any(
+        key.startswith("uncertainty") for key in changes_of(log, fit_drives(log, METRES, delays=(1,)), camera)
+    )
+    section = camera.section()
+    assert section.verdict == "warning"
+    assert any("before what they state" in words for words in section.sentences)
+    right = fit_camera(seen_log(paper, 0.05, stamps=0.0), Scene(paper))
+    assert faults_of(log, scenario, right) == faults_of(log, scenario, None) == {}
+    assert right.section().verdict == "good"
+
+
+def test_a_target_of_another_size_gives_no_noise_and_no_good_camera(paper: hs.Scenario) -> None:
+    """Its fit displaces the target, and leaves what is no noise: the true one is 0.02 px."""
+    points = Scene(paper).points
+    larger = points.mean(axis=0) + 1.15 * (points - points.mean(axis=0))
+    there = paper.updated({"target.initial_features": None, "target.depth": None, "target.points": larger.tolist()})
+    log = seen_log(there, 0.06, stamps=None, noise=0.02)
+    camera = fit_camera(log, Scene(paper))
+    assert camera.target_is_apparent
+    assert not camera.noise_is_white
+    section = camera.section()
+    assert section.verdict == "warning"
+    assert any("focal length" in words and "target.points" in words for words in section.sentences)
+    assert any("it is more than noise" in words for words in section.sentences)
+    assert "camera.noise" not in changes_of(log, fit_drives(log, METRES, delays=(1,)), camera)
+    right = fit_camera(seen_log(paper, 0.06, stamps=None), Scene(paper))
+    assert right.noise_is_white
+    assert not right.target_is_apparent
 
 
 @pytest.mark.slow
