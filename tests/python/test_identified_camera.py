@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -15,6 +17,7 @@ from hexservo.findings.identification.drives import fit_drives
 from hexservo.findings.identification.frame_clock import clock
 from hexservo.findings.identification.frames import CameraFit, fit_camera
 from hexservo.findings.identification.interval import deviations, robust_deviations
+from hexservo.findings.identification.log import Frames, Log
 from test_identification import METRES, SEED, seen_log, within
 
 Array = NDArray[np.float64]
@@ -150,6 +153,32 @@ def test_a_target_of_another_size_gives_no_noise_and_no_good_camera(paper: hs.Sc
     right = fit_camera(seen_log(paper, 0.06, stamps=None), Scene(paper))
     assert right.noise_is_white
     assert not right.target_is_apparent
+
+
+def repeating(log: Log) -> Log:
+    """The log of a driver that hands over each frame twice, half a period apart."""
+    assert log.frames is not None
+    arrival = np.repeat(log.frames.arrival, 2) + np.tile([0.0, 1 / 60], len(log.frames.arrival))
+    return replace(log, frames=Frames(np.repeat(log.frames.features, 2, axis=0), arrival, None))
+
+
+def test_frames_that_are_repeated_do_not_count(paper: hs.Scenario) -> None:
+    log = seen_log(paper, 0.05, stamps=None)
+    assert log.frames is not None  # as written with six digits: a few coordinates are equal by chance
+    log = replace(log, frames=replace(log.frames, features=np.round(log.frames.features, 3)))
+    once, twice = fit_camera(log, Scene(paper)), fit_camera(repeating(log), Scene(paper))
+    assert (once.repeated, twice.repeated) == (0, 135)
+    assert (twice.period, twice.latency, twice.noise) == (once.period, once.latency, once.noise)
+    assert any(words.startswith("135 of 270 frames repeat the one before") for words in twice.section().sentences)
+
+
+def test_equal_frames_of_a_rounded_image_or_of_joints_at_rest_count(paper: hs.Scenario) -> None:
+    log = repeating(seen_log(paper, 0.05, stamps=None))
+    assert log.frames is not None
+    rounded = replace(log, frames=replace(log.frames, features=np.round(log.frames.features)))
+    assert fit_camera(rounded, Scene(paper)).repeated == 0
+    rests = replace(log, joints=np.repeat(log.joints[:1], len(log.joints), axis=0))
+    assert fit_camera(rests, Scene(paper)).repeated == 0
 
 
 @pytest.mark.slow

@@ -20,7 +20,7 @@ from hexservo.findings.identification.frame_clock import clock
 from hexservo.findings.identification.interval import LEVEL, Interval, correlated, half_width, robust_deviations
 from hexservo.findings.identification.log import FITTED, LEAST_EXPLAINED, Frames, Log, leg_moves
 from hexservo.findings.part import Part
-from hexservo.scenario.arrays import Array
+from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.pixels import to_features
 
 MOST_LATENCY = 0.25
@@ -33,6 +33,7 @@ _TARGET = 6  # numbers of its displacement
 _RARE = 0.01  # share of the frames at either end of the latencies from which jitter is not taken
 _SAME = 1e-9  # times that differ by less are the same [s]
 _WHITE = 2.0  # frames over which what a fit with the true calibration leaves is correlated, at most
+_BY_ITSELF = 0.05  # of the frames that are equal to the one before: more with some equal coordinates are rounded
 _APPARENT = 3.0  # [px]: what a displaced target moves the image by from which on the scenario does not see alike
 _EDGE = 5e-4  # latencies that are so near to an end of what is searched, or to 0, are no different from it [s]
 
@@ -111,12 +112,19 @@ def fit_camera(log: Log, scene: Scene) -> CameraFit:
         return CameraFit(count, open=f"expected at least {_FEWEST} frames in the log, got {count}")
     if reason := _not_fitted(scene, frames):
         return CameraFit(count, open=reason)
+    repeats = _repeats(log, frames)
+    repeated = int(repeats.sum())
+    if repeated:
+        exposure = None if frames.exposure is None else frames.exposure[~repeats]
+        frames = Frames(frames.features[~repeats], frames.arrival[~repeats], exposure)
+        if len(frames.arrival) < _FEWEST:
+            return CameraFit(count, open=f"expected at least {_FEWEST} frames, got {repeated} of {count} repeated")
     stamped = frames.exposure is not None
     period, dropout = clock(frames.arrival if frames.exposure is None else frames.exposure) or (None, None)
     sight = _Sight.of(log, frames, scene)
     fit = _fit(sight, log, stamped=stamped)
     if isinstance(fit, str):
-        return CameraFit(count, period, dropout, open=fit)
+        return CameraFit(count, period, dropout, repeated=repeated, open=fit)
     shift = fit.shift
     found = CameraFit(
         count,
@@ -130,6 +138,7 @@ def fit_camera(log: Log, scene: Scene) -> CameraFit:
         target_deviations=fit.target_deviations,
         correlated=fit.correlated,
         target_pixels=fit.target_pixels,
+        repeated=repeated,
     )
     if frames.exposure is None:
         return found
@@ -143,6 +152,23 @@ def fit_camera(log: Log, scene: Scene) -> CameraFit:
     ends = (end if np.isinf(end) else late_by + side * wide for end, side in ((shift.low, -1), (shift.high, 1)))
     latency = Interval(late_by, *map(float, ends))
     return replace(found, latency=latency, jitter=jitter, stamps=shift, stragglers=count - len(usual))
+
+
+def _repeats(log: Log, frames: Frames) -> Mask:
+    """Return which frames (m,) repeat the one before, as of a driver that is asked more often than the camera.
+
+    Noise changes every coordinate: a frame that is equal in all of them is no new one. An image that is rounded, in
+    which single coordinates are equal from frame to frame too, or that has no noise may be equal at rest: none is a
+    repetition where coordinates are often equal by themselves, nor where the joints are equal too whenever the
+    image is.
+    """
+    same = np.diff(frames.features, axis=0) == 0.0
+    whole = same.all(axis=1)
+    ticks = np.clip(np.searchsorted(log.time, frames.arrival, side="right") - 1, 0, None)
+    moved = (np.diff(log.joints[ticks], axis=0) != 0.0).any(axis=1)
+    rounded = (same.any(axis=1) & ~whole).sum() > _BY_ITSELF * whole.sum()
+    repeating = bool((whole & moved).any()) and not rounded
+    return np.concatenate([[False], whole & repeating])
 
 
 def _not_fitted(scene: Scene, frames: Frames) -> str:

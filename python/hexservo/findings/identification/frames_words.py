@@ -36,7 +36,7 @@ def section(found: CameraFit) -> Section:
     known = found.latency_is_known and found.period is not None and (found.explained or 0.0) >= _GOOD
     good = known and not doubts(found)
     verdict: Verdict = "bad" if not found.explains else "good" if good else "warning"
-    return Section("camera", _TITLE, _sentences(found), (table,), verdict, data)
+    return Section("camera", _TITLE, [*_sentences(found), *_of_repeated(found)], (table,), verdict, data)
 
 
 def _sentences(found: CameraFit) -> list[str]:
@@ -100,6 +100,15 @@ def doubts(found: CameraFit) -> list[str]:
             "are too large. The key `camera.noise` is left as it is."
         )
     return words
+
+
+def _of_repeated(found: CameraFit) -> list[str]:
+    if not found.repeated:
+        return []
+    return [
+        f"{found.repeated} of {found.frames} frames repeat the one before, equal in every coordinate: they do "
+        "not count, and the period is that of the others."
+    ]
 
 
 def _without_period(found: CameraFit) -> list[str]:
