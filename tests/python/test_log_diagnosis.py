@@ -24,7 +24,7 @@ RESTS = LogEnd(48.4, 2.0, 0.2, rests=True)
 
 def log_to(scenario: hs.Scenario, off: float, *, swing: float = 0.0) -> Log:
     """A log whose image comes to `off` [px] from the goal within a second, and swings about that by `swing` [px]."""
-    time = 0.02 * np.arange(200)
+    time = np.linspace(0.0, 3.98, 200, dtype=np.float64)
     goal = Scene(scenario).desired
     way = off + 90.0 * np.exp(-5.0 * time) + swing * np.sin(9.0 * time)
     noise = np.random.default_rng(SEED).normal(0.0, 0.1, (200, len(goal)))
