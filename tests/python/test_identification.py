@@ -214,6 +214,7 @@ def seen_log(
     stamps: float | None,
     jitter: float = 0.0,
     moving: bool = True,
+    noise: float = 0.2,
     seed: int = SEED,
 ) -> Log:
     """A log of a machine whose camera takes 30 frames a second; stamps are late by `stamps` [s]."""
@@ -225,7 +226,7 @@ def seen_log(
     true = np.stack([drive.follow(commands[:, leg], period) for leg, drive in enumerate(drives)], axis=1)
     exposure = 0.3 + np.arange(135) / 30.0
     arrival = np.maximum.accumulate(exposure + latency + jitter * random.random(len(exposure)))
-    frames = see(scenario, CubicSpline(log.time, true)(exposure), exposure, arrival, 0.2, random)
+    frames = see(scenario, CubicSpline(log.time, true)(exposure), exposure, arrival, noise, random)
     return replace(log, frames=replace(frames, exposure=None if stamps is None else exposure + stamps))
 
 
@@ -422,3 +423,4 @@ def test_the_command_writes_a_scenario_that_runs_and_diagnose_goes_on(paper: hs.
     diagnosed = CliRunner().invoke(app, ["diagnose", str(log), "--machine", "paper"])
     assert diagnosed.exit_code in {0, 3}, diagnosed.output
     assert "iagnos" in diagnosed.output or "cause" in diagnosed.output
+    assert "The log ends in motion" in " ".join(diagnosed.stdout.split())

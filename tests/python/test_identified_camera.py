@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -10,11 +12,12 @@ from scipy.stats import binom
 import hexservo as hs
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.evidence import Table
-from hexservo.findings.identification.changes import changes_of, of_law
+from hexservo.findings.identification.changes import changes_of, faults_of, of_law
 from hexservo.findings.identification.drives import fit_drives
 from hexservo.findings.identification.frame_clock import clock
 from hexservo.findings.identification.frames import CameraFit, fit_camera
 from hexservo.findings.identification.interval import deviations, robust_deviations
+from hexservo.findings.identification.log import Frames, Log
 from test_identification import METRES, SEED, seen_log, within
 
 Array = NDArray[np.float64]
@@ -115,6 +118,67 @@ def test_jitter_is_found_from_motion_and_is_no_noise(paper: hs.Scenario) -> None
     assert still.jitter is None
     assert still.noise is not None
     assert still.noise.value == pytest.approx(camera.noise.value, rel=0.15)
+
+
+def test_exposure_times_that_are_wrong_are_a_fault_and_no_key(paper: hs.Scenario) -> None:
+    log = seen_log(paper, 0.05, stamps=0.008)
+    camera = fit_camera(log, Scene(paper))
+    scenario = paper.updated({"simulation.mode": "sampled", "simulation.step": 0.01, "camera.latency": 0.05})
+    assert faults_of(log, scenario, camera) == {"uncertainty.latency": -0.01}
+    assert not any(
+        key.startswith("uncertainty") for key in changes_of(log, fit_drives(log, METRES, delays=(1,)), camera)
+    )
+    section = camera.section()
+    assert section.verdict == "warning"
+    assert any("before what they state" in words for words in section.sentences)
+    right = fit_camera(seen_log(paper, 0.05, stamps=0.0), Scene(paper))
+    assert faults_of(log, scenario, right) == faults_of(log, scenario, None) == {}
+    assert right.section().verdict == "good"
+
+
+def test_a_target_of_another_size_gives_no_noise_and_no_good_camera(paper: hs.Scenario) -> None:
+    """Its fit displaces the target, and leaves what is no noise: the true one is 0.02 px."""
+    points = Scene(paper).points
+    larger = points.mean(axis=0) + 1.15 * (points - points.mean(axis=0))
+    there = paper.updated({"target.initial_features": None, "target.depth": None, "target.points": larger.tolist()})
+    log = seen_log(there, 0.06, stamps=None, noise=0.02)
+    camera = fit_camera(log, Scene(paper))
+    assert camera.target_is_apparent
+    assert not camera.noise_is_white
+    section = camera.section()
+    assert section.verdict == "warning"
+    assert any("focal length" in words and "target.points" in words for words in section.sentences)
+    assert any("it is more than noise" in words for words in section.sentences)
+    assert "camera.noise" not in changes_of(log, fit_drives(log, METRES, delays=(1,)), camera)
+    right = fit_camera(seen_log(paper, 0.06, stamps=None), Scene(paper))
+    assert right.noise_is_white
+    assert not right.target_is_apparent
+
+
+def repeating(log: Log) -> Log:
+    """The log of a driver that hands over each frame twice, half a period apart."""
+    assert log.frames is not None
+    arrival = np.repeat(log.frames.arrival, 2) + np.tile([0.0, 1 / 60], len(log.frames.arrival))
+    return replace(log, frames=Frames(np.repeat(log.frames.features, 2, axis=0), arrival, None))
+
+
+def test_frames_that_are_repeated_do_not_count(paper: hs.Scenario) -> None:
+    log = seen_log(paper, 0.05, stamps=None)
+    assert log.frames is not None  # as written with six digits: a few coordinates are equal by chance
+    log = replace(log, frames=replace(log.frames, features=np.round(log.frames.features, 3)))
+    once, twice = fit_camera(log, Scene(paper)), fit_camera(repeating(log), Scene(paper))
+    assert (once.repeated, twice.repeated) == (0, 135)
+    assert (twice.period, twice.latency, twice.noise) == (once.period, once.latency, once.noise)
+    assert any(words.startswith("135 of 270 frames repeat the one before") for words in twice.section().sentences)
+
+
+def test_equal_frames_of_a_rounded_image_or_of_joints_at_rest_count(paper: hs.Scenario) -> None:
+    log = repeating(seen_log(paper, 0.05, stamps=None))
+    assert log.frames is not None
+    rounded = replace(log, frames=replace(log.frames, features=np.round(log.frames.features)))
+    assert fit_camera(rounded, Scene(paper)).repeated == 0
+    rests = replace(log, joints=np.repeat(log.joints[:1], len(log.joints), axis=0))
+    assert fit_camera(rests, Scene(paper)).repeated == 0
 
 
 @pytest.mark.slow

@@ -140,12 +140,16 @@ def _judge(
             model = identified(run, machine, settings, camera)
             for section in model.doubtful:
                 complain(*section.sentences, head=section.title)
-            of: Any = _run(model.scenario)
+            of: Any = _run(model.as_logged)
         else:
             read = _scenario if source.of_scenario else _result
             of = read(run, settings or [], camera)
         with refusals():  # for a run or scenario to which it does not apply
             found = source.find(of)
+        if machine is not None:
+            from hexservo.findings.identification.log_diagnosis import LogDiagnosis
+
+            found = LogDiagnosis(model, found)
         if json is not None:
             write_json(name, found.to_dict(), json, force)
         if json != STANDARD_OUTPUT:

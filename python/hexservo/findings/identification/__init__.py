@@ -10,10 +10,11 @@ from typing import Any
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Section, as_data
-from hexservo.findings.identification.changes import Changes, changes_of, in_whole_ticks, of_law
+from hexservo.findings.identification.changes import Changes, changes_of, faults_of, in_whole_ticks, of_law
 from hexservo.findings.identification.drives import DriveFit, Drives, fit_drives
 from hexservo.findings.identification.frames import CameraFit, fit_camera
 from hexservo.findings.identification.log import Log, read_log
+from hexservo.findings.identification.log_end import LogEnd, end_of
 from hexservo.findings.identification.motors import MotorFit, fit_motors
 from hexservo.findings.identification.reach import require_reach
 from hexservo.run.progress import ProgressCallback, reporting
@@ -23,7 +24,7 @@ from hexservo.scenario.leg_units import leg_units
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import wrong_type
 
-__all__ = ["CameraFit", "DriveFit", "Drives", "Identification", "Log", "MotorFit", "identify", "read_log"]
+__all__ = ["CameraFit", "DriveFit", "Drives", "Identification", "Log", "LogEnd", "MotorFit", "identify", "read_log"]
 
 
 @described
@@ -38,6 +39,15 @@ class Identification(Findings):
     camera: CameraFit | None  # None where the log has no image
     motors: MotorFit | None = None  # None where they were not asked for, or not all legs moved
     rounded: dict[str, Any] = field(default_factory=dict)  # times of the machine in whole ticks of the log, likewise
+    faults: dict[str, Any] = field(
+        default_factory=dict
+    )  # keys of what is wrong with the log's exposure times, likewise
+    end: LogEnd | None = None  # how far from the goal the log ends; None where it has no image of the goal's points
+
+    @property
+    def as_logged(self) -> Scenario:
+        """The scenario with `faults`: what the logged machine does, and is not to be run with."""
+        return self.scenario.updated(self.faults)
 
     @property
     def doubtful(self) -> list[Section]:
@@ -52,11 +62,15 @@ class Identification(Findings):
         parts = self._parts()
         given = {key: value_at(self.machine, key) for key in (*self.changes, *self.rounded)}
         verdicts = {part.title: part.verdict for part in parts}
-        return [*parts, Changes(self.changes, self.rounded, given, verdicts).section()]
+        return [*parts, Changes(self.changes, self.rounded, given, verdicts, self.faults).section()]
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain data, for JSON: keys, and each section's numbers."""
-        found = {"changes": self.changes, **{section.name: section.data for section in self.sections()}}
+        found = {
+            "changes": self.changes,
+            "faults": self.faults,
+            **{section.name: section.data for section in self.sections()},
+        }
         return as_data(found)  # type: ignore[no-any-return]
 
 
@@ -102,7 +116,8 @@ def identify(
     require_reach(record, machine, None if isinstance(log, Log) else os.fsdecode(log))
     with reporting(progress, "legs identified") as report:
         drives = fit_drives(record, leg_units(machine.robot), report)
-    camera = None if record.frames is None else fit_camera(record, Scene(machine))
+    scene = Scene(machine)
+    camera = None if record.frames is None else fit_camera(record, scene)
     found = None
     if motors:
         with reporting(progress, "delays of motors tried") as report:
@@ -112,4 +127,15 @@ def identify(
     changes = changes_of(record, drives, camera, found)
     changes |= of_law(machine, changes)
     rounded = in_whole_ticks(record, machine, changes)
-    return Identification(machine, machine.updated(changes | rounded), changes, drives, camera, found, rounded)
+    scenario = machine.updated(changes | rounded)
+    return Identification(
+        machine,
+        scenario,
+        changes,
+        drives,
+        camera,
+        found,
+        rounded,
+        faults_of(record, scenario, camera),
+        end_of(record, scene),
+    )

@@ -39,6 +39,7 @@ class Changes(Part):
     rounded: Mapping[str, Any]  # times that the log does not give, in whole ticks of it
     given: Mapping[str, Any]  # what the scenario of the machine had
     verdicts: Mapping[str, Verdict]  # of the parts that the log was searched for, by title
+    faults: Mapping[str, Any]  # keys that only a diagnosis of the log has
 
 
 def changes_of(log: Log, drives: Drives, camera: CameraFit | None, motors: MotorFit | None = None) -> dict[str, Any]:
@@ -65,6 +66,18 @@ def of_law(machine: Scenario, changes: Mapping[str, Any]) -> dict[str, Any]:
     if machine.controller.law != "tracking" or noise <= 0.0:
         return {}
     return {"controller.tracking.noise": noise}
+
+
+def faults_of(log: Log, scenario: Scenario, camera: CameraFit | None) -> dict[str, Any]:
+    """Return the key of exposure times that are wrong by more than half a tick, as the logged machine has them.
+
+    It is no key of the identified scenario, whose exported controller would assume that error.
+    """
+    if camera is None or not camera.explains or camera.stamps is None or not camera.stamps_are_wrong:
+        return {}
+    step = float(f"{log.period:.9g}")
+    error = max(_whole(-camera.stamps.value, step), -scenario.camera.latency)  # no frame is stamped after its arrival
+    return {} if error == 0.0 else {"uncertainty.latency": error}
 
 
 def in_whole_ticks(log: Log, machine: Scenario, changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -98,7 +111,8 @@ def _of_drives(drives: Drives, step: float) -> dict[str, Any]:
 
 def _of_camera(camera: CameraFit, step: float) -> dict[str, Any]:
     changes: dict[str, Any] = {}
-    if camera.noise is not None and not camera.at_edge:  # where motion that the model lacks is a part of it
+    # at an edge, and where it is correlated, motion that the model lacks is a part of the noise
+    if camera.noise is not None and not camera.at_edge and camera.noise_is_white:
         changes |= {"camera.noise": _digits(camera.noise.value)}
     if camera.period is not None:
         changes |= {"camera.period": max(step, _whole(camera.period.value, step))}

@@ -20,10 +20,10 @@ def section(found: Changes) -> Section:
     return Section(
         "keys",
         "The scenario",
-        [_sentence(found, verdict)],
+        [_sentence(found, verdict), *_of_faults(found)],
         (table,),
         verdict,
-        {"changes": dict(found.identified), "rounded": dict(found.rounded)},
+        {"changes": dict(found.identified), "rounded": dict(found.rounded), "faults": dict(found.faults)},
     )
 
 
@@ -36,6 +36,16 @@ def _sentence(found: Changes, verdict: Verdict) -> str:
         f"See {doubtful} before you rely on this scenario: what the log does not determine, or what no model predicts, "
         "is that of the scenario that was given, as law and gains are."
     )
+
+
+def _of_faults(found: Changes) -> list[str]:
+    if not found.faults:
+        return []
+    keys = ", ".join(f"{key}={_text(value)}" for key, value in found.faults.items())
+    return [
+        f"Correct the exposure times of the machine first: `hexservo diagnose` of this log simulates their error "
+        f"({keys}), and this scenario is without it."
+    ]
 
 
 def _text(value: Any) -> str:

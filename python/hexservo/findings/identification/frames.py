@@ -20,7 +20,7 @@ from hexservo.findings.identification.frame_clock import clock
 from hexservo.findings.identification.interval import LEVEL, Interval, correlated, half_width, robust_deviations
 from hexservo.findings.identification.log import FITTED, LEAST_EXPLAINED, Frames, Log, leg_moves
 from hexservo.findings.part import Part
-from hexservo.scenario.arrays import Array
+from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.pixels import to_features
 
 MOST_LATENCY = 0.25
@@ -32,7 +32,10 @@ _ROUNDS = 60  # evaluations of a fit
 _TARGET = 6  # numbers of its displacement
 _RARE = 0.01  # share of the frames at either end of the latencies from which jitter is not taken
 _SAME = 1e-9  # times that differ by less are the same [s]
-_EDGE = 5e-4  # latencies that are so near to an end of what is searched are no different from it [s]
+_WHITE = 2.0  # frames over which what a fit with the true calibration leaves is correlated, at most
+_BY_ITSELF = 0.05  # of the frames that are equal to the one before: more with some equal coordinates are rounded
+_APPARENT = 3.0  # [px]: what a displaced target moves the image by from which on the scenario does not see alike
+_EDGE = 5e-4  # latencies that are so near to an end of what is searched, or to 0, are no different from it [s]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -56,7 +59,26 @@ class CameraFit(Part):
     target: Array = field(default_factory=lambda: np.zeros(6))  # displacement of the scenario's target [m; rad]
     target_deviations: Array = field(default_factory=lambda: np.full(6, np.inf))  # standard, of these [m; rad]
     stragglers: int = 0  # frames whose latency is far from that of the others: they do not count in latency and jitter
+    repeated: int = 0  # frames that repeat the one before: they do not count
+    correlated: float = 1.0  # frames over which what the fit leaves is, in half of the coordinates; 1 of white noise
+    target_pixels: float = 0.0  # what the target's displacement moves the image by, RMS of a coordinate [px]
     open: str = ""  # why nothing was found; empty if something was
+
+    @property
+    def stamps_are_wrong(self) -> bool:
+        """Whether exposure times do not agree with the joints, by more than the resolution of the fit."""
+        return self.stamps is not None and (self.stamps.low > _EDGE or self.stamps.high < -_EDGE)
+
+    @property
+    def noise_is_white(self) -> bool:
+        """Whether what the fit leaves is noise, and not what the model lacks."""
+        return self.correlated <= _WHITE
+
+    @property
+    def target_is_apparent(self) -> bool:
+        """Whether the target is seen where the scenario does not have it."""
+        known = (np.abs(self.target) > half_width(1.0) * self.target_deviations).any()
+        return bool(known and self.target_pixels > _APPARENT)
 
     @property
     def latency_is_known(self) -> bool:
@@ -90,12 +112,19 @@ def fit_camera(log: Log, scene: Scene) -> CameraFit:
         return CameraFit(count, open=f"expected at least {_FEWEST} frames in the log, got {count}")
     if reason := _not_fitted(scene, frames):
         return CameraFit(count, open=reason)
+    repeats = _repeats(log, frames)
+    repeated = int(repeats.sum())
+    if repeated:
+        exposure = None if frames.exposure is None else frames.exposure[~repeats]
+        frames = Frames(frames.features[~repeats], frames.arrival[~repeats], exposure)
+        if len(frames.arrival) < _FEWEST:
+            return CameraFit(count, open=f"expected at least {_FEWEST} frames, got {repeated} of {count} repeated")
     stamped = frames.exposure is not None
     period, dropout = clock(frames.arrival if frames.exposure is None else frames.exposure) or (None, None)
     sight = _Sight.of(log, frames, scene)
     fit = _fit(sight, log, stamped=stamped)
     if isinstance(fit, str):
-        return CameraFit(count, period, dropout, open=fit)
+        return CameraFit(count, period, dropout, repeated=repeated, open=fit)
     shift = fit.shift
     found = CameraFit(
         count,
@@ -107,6 +136,9 @@ def fit_camera(log: Log, scene: Scene) -> CameraFit:
         explained=fit.explained,
         target=fit.target,
         target_deviations=fit.target_deviations,
+        correlated=fit.correlated,
+        target_pixels=fit.target_pixels,
+        repeated=repeated,
     )
     if frames.exposure is None:
         return found
@@ -120,6 +152,23 @@ def fit_camera(log: Log, scene: Scene) -> CameraFit:
     ends = (end if np.isinf(end) else late_by + side * wide for end, side in ((shift.low, -1), (shift.high, 1)))
     latency = Interval(late_by, *map(float, ends))
     return replace(found, latency=latency, jitter=jitter, stamps=shift, stragglers=count - len(usual))
+
+
+def _repeats(log: Log, frames: Frames) -> Mask:
+    """Return which frames (m,) repeat the one before, as of a driver that is asked more often than the camera.
+
+    Noise changes every coordinate: a frame that is equal in all of them is no new one. An image that is rounded, in
+    which single coordinates are equal from frame to frame too, or that has no noise may be equal at rest: none is a
+    repetition where coordinates are often equal by themselves, nor where the joints are equal too whenever the
+    image is.
+    """
+    same = np.diff(frames.features, axis=0) == 0.0
+    whole = same.all(axis=1)
+    ticks = np.clip(np.searchsorted(log.time, frames.arrival, side="right") - 1, 0, None)
+    moved = (np.diff(log.joints[ticks], axis=0) != 0.0).any(axis=1)
+    rounded = (same.any(axis=1) & ~whole).sum() > _BY_ITSELF * whole.sum()
+    repeating = bool((whole & moved).any()) and not rounded
+    return np.concatenate([[False], whole & repeating])
 
 
 def _not_fitted(scene: Scene, frames: Frames) -> str:
@@ -192,6 +241,8 @@ class _Fit:
     explained: float | None  # share of the image motion kept apart that is predicted
     target: Array  # (6,) displacement [m; rad]
     target_deviations: Array  # (6,)
+    correlated: float  # frames over which what is left is, in half of the coordinates
+    target_pixels: float  # what the displacement moves the image by, RMS of a coordinate [px]
 
 
 def _fit(sight: _Sight, log: Log, *, stamped: bool) -> _Fit | str:
@@ -227,12 +278,17 @@ def _fit(sight: _Sight, log: Log, *, stamped: bool) -> _Fit | str:
     bounds = [np.r_[lowest / sight.latest, np.full(6, -np.inf)], np.r_[1.0, np.full(6, np.inf)]]
     fit = least_squares(residuals, first, bounds=bounds, x_scale="jac", max_nfev=_ROUNDS)
     left = fit.fun.reshape(part.features.shape)
-    together = max(correlated(column) for column in left.T)
+    lasting = [correlated(column) for column in left.T]
+    together = max(lasting)
     sigma = robust_deviations(fit.jac, fit.fun, fitted, together)
     shift = _bounded(Interval.around(fit.x[0], float(sigma[0])).times(sight.latest), lowest, sight.latest)
     noise, jitter = _noise_and_jitter(left, fit.jac[:, 0].reshape(left.shape) / sight.latest, together)
     explained = _predicted(sight, log, shift.value, fit.x[1:] * unit, fitted)
-    return _Fit(shift, None if stamped else jitter, noise, explained, fit.x[1:] * unit, sigma[1:] * unit)
+    target = fit.x[1:] * unit
+    undisplaced = part.left(shift.value, np.zeros(_TARGET))
+    moved = np.inf if undisplaced is None else float(np.sqrt(np.mean((left - undisplaced) ** 2)))
+    typical = float(np.median(lasting))
+    return _Fit(shift, None if stamped else jitter, noise, explained, target, sigma[1:] * unit, typical, moved)
 
 
 def _noise_and_jitter(left: Array, speed: Array, together: float) -> tuple[Interval, float | None]:

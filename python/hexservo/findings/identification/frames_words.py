@@ -33,9 +33,10 @@ def section(found: CameraFit) -> Section:
     table = Table(
         "Camera; in brackets 95 % intervals", (Column("quantity"), Column("value"), Column("unit")), rows, page=PAGE
     )
-    good = found.latency_is_known and found.period is not None and (found.explained or 0.0) >= _GOOD
+    known = found.latency_is_known and found.period is not None and (found.explained or 0.0) >= _GOOD
+    good = known and not doubts(found)
     verdict: Verdict = "bad" if not found.explains else "good" if good else "warning"
-    return Section("camera", _TITLE, _sentences(found), (table,), verdict, data)
+    return Section("camera", _TITLE, [*_sentences(found), *_of_repeated(found)], (table,), verdict, data)
 
 
 def _sentences(found: CameraFit) -> list[str]:
@@ -56,29 +57,58 @@ def _sentences(found: CameraFit) -> list[str]:
             *_without_period(found),
             f"The log does not tell the latency of the camera, which may be anything from 0 to "
             f"{1e3 * MOST_LATENCY:.0f} ms: the platform has to move while frames are taken.",
+            *doubts(found),
         ]
     words = [
         f"A frame arrives {number(1e3 * latency.value)} ms after it was taken ({number(1e3 * latency.low)} to "
         f"{number(1e3 * latency.high)} ms)"
         + (", by its exposure times." if found.stamps is not None else ", by the motion of joints and image.")
     ]
-    stamps = found.stamps
-    if stamps is not None and (stamps.low > 0.0 or stamps.high < 0.0):
-        words.append(
-            f"The exposure times do not agree with the joints: frames were taken {number(1e3 * abs(stamps.value))} ms "
-            f"{'before' if stamps.value > 0 else 'after'} what they state."
-        )
     if found.stragglers:
         words.append(
             f"{found.stragglers} of {found.frames} frames arrived far from when the others do, and are left out of "
             "latency and jitter."
         )
-    if stamps is None and found.jitter is not None:
+    if found.stamps is None and found.jitter is not None:
         words.append(
             "The image is off by more where it moves faster, as of frames that arrive up to "
             f"{number(1e3 * found.jitter)} ms later than the earliest; the noise is that of an image at rest."
         )
-    return [*words, *_without_period(found), _of_the_target(found)]
+    return [*words, *_without_period(found), _of_the_target(found), *doubts(found)]
+
+
+def doubts(found: CameraFit) -> list[str]:
+    """Return what the scenario that is identified does not have of the camera."""
+    if not found.explains or found.at_edge:
+        return []
+    words, stamps = [], found.stamps
+    if stamps is not None and found.stamps_are_wrong and found.latency_is_known:
+        words.append(
+            f"The exposure times do not agree with the joints: frames were taken {number(1e3 * abs(stamps.value))} ms "
+            f"{'before' if stamps.value > 0 else 'after'} what they state."
+        )
+    if found.target_is_apparent:
+        words.append(
+            f"The place where the target is seen moves the image by {number(found.target_pixels)} px (RMS), and no key "
+            "has it. Check the place and the size of the target (target.points), the focal length (camera.focal_length "
+            "or camera.focal_pixels) and the camera's mount (camera.mount): a displaced target stands for any of these."
+        )
+    if not found.noise_is_white:
+        words.append(
+            f"What the fit leaves of the image is correlated over {number(found.correlated)} frames: it is more than "
+            "noise, such as a wrong size of the target, focal length, lens or mount, and the noise and its interval "
+            "are too large. The key `camera.noise` is left as it is."
+        )
+    return words
+
+
+def _of_repeated(found: CameraFit) -> list[str]:
+    if not found.repeated:
+        return []
+    return [
+        f"{found.repeated} of {found.frames} frames repeat the one before, equal in every coordinate: they do "
+        "not count, and the period is that of the others."
+    ]
 
 
 def _without_period(found: CameraFit) -> list[str]:

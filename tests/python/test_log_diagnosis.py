@@ -1,0 +1,104 @@
+"""Diagnosis of a log: what the log shows of its goal, and the run of the identified model."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hexservo as hs
+from hexservo.findings.analysis.scene import Scene
+from hexservo.findings.diagnosis import Diagnosis
+from hexservo.findings.identification import CameraFit, Identification
+from hexservo.findings.identification.drives import fit_drives
+from hexservo.findings.identification.interval import Interval
+from hexservo.findings.identification.log import Frames, Log
+from hexservo.findings.identification.log_diagnosis import LogDiagnosis
+from hexservo.findings.identification.log_end import LogEnd, end_of
+from test_identification import METRES, SEED
+
+RESTS = LogEnd(48.4, 2.0, 0.2, rests=True)
+
+
+def log_to(scenario: hs.Scenario, off: float, *, swing: float = 0.0) -> Log:
+    """A log whose image comes to `off` [px] from the goal within a second, and swings about that by `swing` [px]."""
+    time = np.linspace(0.0, 3.98, 200, dtype=np.float64)
+    goal = Scene(scenario).desired
+    way = off + 90.0 * np.exp(-5.0 * time) + swing * np.sin(9.0 * time)
+    noise = np.random.default_rng(SEED).normal(0.0, 0.1, (200, len(goal)))
+    legs = np.full((200, 6), 0.2)
+    return Log(time, 0.02, legs, legs, Frames(goal + way[:, None] + noise, time, None))
+
+
+def test_the_end_of_a_log_is_compared_to_the_goal(paper: hs.Scenario) -> None:
+    machine, scene = paper.updated({"metrics.band": 2.0}), Scene(paper.updated({"metrics.band": 2.0}))
+    near, away, swings = (
+        end_of(log_to(machine, off, swing=swing), scene) for off, swing in ((0.0, 0.0), (48.0, 0.0), (0.0, 48.0))
+    )
+    assert near is not None
+    assert near.settled
+    assert away is not None
+    assert (away.settled, away.rests) == (False, True)
+    assert away.error == pytest.approx(48.0, abs=0.6)
+    assert swings is not None
+    assert (swings.settled, swings.rests) == (False, False)
+    log = log_to(machine, 0.0)
+    assert log.frames is not None
+    few = replace(log.frames, features=log.frames.features[:, :4])
+    assert end_of(replace(log, frames=few), scene) is end_of(replace(log, frames=None), scene) is None
+
+
+@pytest.fixture(scope="module")
+def passing() -> Diagnosis:
+    found = hs.diagnose(hs.simulate(hs.load_scenario("pi-h824-positions")))
+    assert found.failed is False
+    return found
+
+
+def diagnosed(model: Diagnosis, **of_log: Any) -> LogDiagnosis:
+    machine = model.result.scenario
+    drives = fit_drives(log_to(machine, 0.0), METRES)  # of legs at rest
+    return LogDiagnosis(Identification(machine, machine, {}, drives, **{"camera": None, **of_log}), model)
+
+
+def test_a_log_that_rests_off_the_goal_of_a_model_that_passes_is_not_good(passing: Diagnosis) -> None:
+    found = diagnosed(passing, end=RESTS).sections()[0]
+    assert found.verdict == "warning"
+    assert "The log does not settle: it rests up to 48.4 px from the goal in its last 0.2 s" in found.sentences[0]
+    assert "the machine has a fault that the model lacks" in found.sentences[0]
+    assert found.sentences[-1].startswith("The identified model passes: it is settled")
+    assert found.data["log"] == {"error": 48.4, "band": 2.0, "dwell": 0.2, "rests": True, "settled": False}
+
+
+def test_a_log_that_settles_or_moves_or_has_no_image_says_so(passing: Diagnosis) -> None:
+    settles = diagnosed(passing, end=replace(RESTS, error=1.0)).sections()[0]
+    assert (settles.verdict, settles.sentences[0][:16]) == ("good", "The log settles:")
+    moves = diagnosed(passing, end=replace(RESTS, rests=False)).sections()[0]
+    assert moves.verdict == "open"
+    assert "for identification, is not expected to settle" in moves.sentences[0]
+    blind = diagnosed(passing, end=None).sections()[0]
+    assert (blind.verdict, blind.data["log"]) == ("open", None)
+
+
+def test_a_model_that_is_not_of_the_machine_leaves_the_diagnosis_open(passing: Diagnosis) -> None:
+    wrong = CameraFit(100, latency=Interval(0.02, 0.019, 0.021), explained=0.1)
+    found = diagnosed(passing, camera=wrong, end=replace(RESTS, error=1.0)).sections()[0]
+    assert found.verdict == "open"
+    assert any('see "Camera"' in sentence for sentence in found.sentences)
+    assert found.data["failed"] is None
+    (doubt,) = found.data["doubtful"]
+    assert doubt["name"] == "camera"
+
+
+def test_wrong_exposure_times_are_in_the_run_and_are_stated(passing: Diagnosis) -> None:
+    late = Interval(0.02, 0.0199, 0.0201)
+    camera = CameraFit(100, latency=late, stamps=late, explained=1.0)
+    found = diagnosed(passing, camera=camera, faults={"uncertainty.latency": -0.02}, end=RESTS)
+    assert found.identification.as_logged.uncertainty.latency == -0.02
+    assert found.identification.scenario.uncertainty.latency == 0.0
+    sentences = found.sections()[0].sentences
+    assert any("frames were taken 20 ms before what they state" in sentence for sentence in sentences)
+    assert any("has that error: uncertainty.latency=-0.02" in sentence for sentence in sentences)
+    assert "Correct the exposure times" in found.identification.sections()[-1].sentences[-1]
