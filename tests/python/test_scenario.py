@@ -795,7 +795,7 @@ def test_any_valid_sampled_scenario_survives_yaml(
     again = hs.Scenario.from_yaml(scenario.to_yaml())
     assert again == scenario
     assert again.seed == seed
-    assert again.camera.period == (1e-3 if period is None else period)
+    assert again.camera.period == period
 
 
 def test_depths_whose_image_jacobian_overflows_are_refused() -> None:

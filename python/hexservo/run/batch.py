@@ -275,8 +275,6 @@ def simulate_batch(
     if controller is not None:
         return _run_custom(scenario, arrays, count, log, threads, progress, controller, asked)
     varied = fitted_variations(scenario, arrays)
-    if "simulation.step" in arrays and scenario.camera.period == scenario.simulation.step:
-        varied.setdefault("camera.period", arrays["simulation.step"])  # a frame at every tick, as `updated` has it
     rows = [(key, np.ascontiguousarray(values.reshape(len(values), -1))) for key, values in varied.items()]
     with _reporting(progress) as report:
         run = _core.simulate_batch(
