@@ -28,7 +28,7 @@ from hexservo.run.variations import (
     fitted_variations,
     unit_of_varied,
 )
-from hexservo.scenario.arrays import Array
+from hexservo.scenario.arrays import Array, read_only
 from hexservo.scenario.fields import described
 from hexservo.scenario.leg_units import unit_of
 from hexservo.scenario.parameters import core_parameters
@@ -62,7 +62,8 @@ _MAX_THREADS = 1024
 class BatchResult:
     """Results of n scenarios, in the order of their variations. Axis 0 of every array is the scenario.
 
-    Frames and orders: docs/model.md section 1. Arrays share the batch's memory.
+    Frames and orders: docs/model.md section 1. Arrays are read-only and share the batch's memory: take a copy of
+    what is to be changed.
     """
 
     scenario: Scenario  # what the variations vary
@@ -273,7 +274,7 @@ def simulate_batch(
     arrays = checked_variations(scenario, variations)
     count = max(len(values) for values in arrays.values())
     if controller is not None:
-        return _run_custom(scenario, arrays, count, log, threads, progress, controller, asked)
+        return _read_only(_run_custom(scenario, arrays, count, log, threads, progress, controller, asked))
     varied = fitted_variations(scenario, arrays)
     rows = [(key, np.ascontiguousarray(values.reshape(len(values), -1))) for key, values in varied.items()]
     with _reporting(progress) as report:
@@ -283,7 +284,7 @@ def simulate_batch(
     samples = dict(run.samples)
     if run.fuzzy_weights is not None:
         samples["fuzzy_weights"] = run.fuzzy_weights
-    return BatchResult(
+    found = BatchResult(
         scenario=scenario,
         variations=arrays,
         outcome=_OUTCOMES[run.outcome],
@@ -295,6 +296,15 @@ def simulate_batch(
         samples=samples,
         time=run.time,
     )
+    return _read_only(found)
+
+
+def _read_only(batch: BatchResult) -> BatchResult:
+    """Return a batch after its arrays were made read-only."""
+    alone = (batch.outcome, batch.cause, batch.limit_leg, batch.end_time, batch.stop_time, batch.time)
+    for array in (*alone, *batch.variations.values(), *batch.metrics.values(), *batch.samples.values()):
+        read_only(array)
+    return batch
 
 
 # ---- A custom controller --------------------------------------------------------------------------------------------
