@@ -777,3 +777,13 @@ def test_arrays_of_a_batch_are_read_only_and_those_given_are_not(paper: hs.Scena
             array[...] = array[..., :1]
     given[0] = 1.0
     assert batch.variations["uncertainty.gravity"][0] == 0.0
+
+
+def test_the_detail_of_a_run_needs_its_index(paper: hs.Scenario) -> None:
+    batch = hs.simulate_batch(paper.updated({"simulation.duration": 0.01}), {"uncertainty.gravity": [0.0]}, "metrics")
+    assert batch.detail(np.int64(0)) == batch.detail(-1)
+    with pytest.raises(IndexError):
+        batch.detail(1)
+    for index in (slice(0, 1), 1.0, "0"):
+        with pytest.raises(TypeError, match=r"^index: expected an integer, got"):
+            batch.detail(index)  # type: ignore[arg-type]

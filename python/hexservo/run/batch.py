@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import operator
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -98,13 +99,19 @@ class BatchResult:
 
         Raises
         ------
+        TypeError
+            For an index that is no integer.
         IndexError
             For an index that no scenario has.
         """
-        if self.outcome[index] == "interrupted":
+        try:
+            run = operator.index(index)
+        except TypeError:
+            raise wrong_type("index", "an integer", index) from None
+        if self.outcome[run] == "interrupted":
             return "interrupted before its end"
-        cause = _core.StopCause[str(self.cause[index])]
-        return _core.describe(cause, float(self.stop_time[index]), int(self.limit_leg[index]) - 1)
+        cause = _core.StopCause[str(self.cause[run])]
+        return _core.describe(cause, float(self.stop_time[run]), int(self.limit_leg[run]) - 1)
 
     def to_dataframe(self) -> pandas.DataFrame:
         """Return the batch as a flat table: a row for each run, with what varies, how it ended, and its metrics.
