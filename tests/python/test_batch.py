@@ -781,7 +781,7 @@ def test_arrays_of_a_batch_are_read_only_and_those_given_are_not(paper: hs.Scena
 
 def test_the_detail_of_a_run_needs_its_index(paper: hs.Scenario) -> None:
     batch = hs.simulate_batch(paper.updated({"simulation.duration": 0.01}), {"uncertainty.gravity": [0.0]}, "metrics")
-    assert batch.detail(np.int64(0)) == batch.detail(-1)
+    assert batch.detail(0) == batch.detail(-1)
     with pytest.raises(IndexError):
         batch.detail(1)
     for index in (slice(0, 1), 1.0, "0"):

@@ -814,7 +814,7 @@ def test_depths_whose_image_jacobian_overflows_are_refused() -> None:
     "numbers",
     [
         array("d", [0.0, 0.0, 9.81]),
-        memoryview(np.array([0.0, 0.0, 9.81])),
+        memoryview(array("d", [0.0, 0.0, 9.81])),
         deque([0.0, 0.0, 9.81]),
         range(3),
         pd.Series([0.0, 0.0, 9.81]),
