@@ -36,6 +36,8 @@ def lines_of(count: int, width: int = 12) -> list[str]:
     [
         ("", "column names"),
         ("t,x\n1,2\n", "expected the columns time, command_1"),
+        ("t,x\n1,2\n", "joint_6, got a line of 2 other names"),
+        (f"{HEAD.removesuffix('joint_6')}x\n", "joint_6, got all but joint_6"),
         (f"{HEAD},torque_1\n", "1 other columns"),
         (f"{HEAD},x_1\n", "other columns"),
         ("\n".join([HEAD, *lines_of(3), "1,2"]), "line 5: expected 13 fields, got 2"),

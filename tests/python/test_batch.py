@@ -759,3 +759,32 @@ print(before, (peak() - before) / 200_000)
     assert run.returncode == 0, run.stderr
     before, each = map(float, run.stdout.split())
     assert before + 1e6 * each < 1e9, f"{before:.3g} bytes to begin with, {each:.0f} per scenario"
+
+
+@pytest.mark.parametrize("custom", [False, True])
+def test_arrays_of_a_batch_are_read_only_and_those_given_are_not(paper: hs.Scenario, custom: bool) -> None:
+    given = np.array([0.0, 0.01])
+    sampled = paper.updated({"simulation.mode": "sampled", "simulation.duration": 0.01})
+    batch = hs.simulate_batch(
+        sampled,
+        {"uncertainty.gravity": given},
+        "trajectory",
+        controller=(lambda _: np.zeros(6)) if custom else None,
+    )
+    assert batch.time is not None
+    alone = [batch.outcome, batch.cause, batch.limit_leg, batch.end_time, batch.stop_time, batch.time]
+    for array in (*alone, *batch.variations.values(), *batch.metrics.values(), *batch.samples.values()):
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = array[..., :1]
+    given[0] = 1.0
+    assert batch.variations["uncertainty.gravity"][0] == 0.0
+
+
+def test_the_detail_of_a_run_needs_its_index(paper: hs.Scenario) -> None:
+    batch = hs.simulate_batch(paper.updated({"simulation.duration": 0.01}), {"uncertainty.gravity": [0.0]}, "metrics")
+    assert batch.detail(0) == batch.detail(-1)
+    with pytest.raises(IndexError):
+        batch.detail(1)
+    for index in (slice(0, 1), 1.0, "0"):
+        with pytest.raises(TypeError, match=r"^index: expected an integer, got"):
+            batch.detail(index)  # type: ignore[arg-type]

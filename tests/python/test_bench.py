@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.util
 import json
 import re
@@ -331,8 +332,9 @@ def test_a_campaign_is_timed_if_every_metric_is_that_of_the_batch(monkeypatch: p
 
     def other(*arguments: Any, **options: Any) -> hs.BatchResult:
         batch = simulate(*arguments, **options)
-        batch.metrics["chatter"][5] = np.nextafter(batch.metrics["chatter"][5], np.inf)
-        return batch
+        chatter = batch.metrics["chatter"].copy()
+        chatter[5] = np.nextafter(chatter[5], np.inf)
+        return dataclasses.replace(batch, metrics={**batch.metrics, "chatter": chatter})
 
     monkeypatch.setattr(hs, "simulate_batch", other)
     with pytest.raises(SystemExit, match="chatter: expected that of simulate_batch, bit for bit"):

@@ -265,7 +265,7 @@ def test_errors_name_the_option_that_they_are_of(tmp_path: Path) -> None:
 
 
 def test_what_a_shown_file_repeats_follows_the_settings(tmp_path: Path) -> None:
-    """The whole of a scenario as a file: a preset's values, the camera's period, gains of `auto`."""
+    """The whole of a scenario as a file: a preset's values, gains of `auto`."""
     for name, setting in (
         ("paper", "robot.preset=pi_h824"),
         ("composite-30hz", "target.depth=0.6"),

@@ -30,8 +30,9 @@ def stopped(*arguments: Any, **named: Any) -> hs.Result:
 def stopped_batch(*arguments: Any, **named: Any) -> BatchResult:
     """Run a batch as if Ctrl-C came before its last run ended."""
     batch = simulate_batch(*arguments, **named)
-    batch.outcome[-1] = "interrupted"
-    return batch
+    outcome = batch.outcome.copy()
+    outcome[-1] = "interrupted"
+    return dataclasses.replace(batch, outcome=outcome)
 
 
 @pytest.mark.parametrize("command", ["report", "certify", "diagnose"])

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+import pickle
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,10 +15,10 @@ from scipy.spatial.transform import Rotation
 import hexservo as hs
 import rotary_machine
 from hexservo import _core
-from hexservo.scenario.blocks import Camera
+from hexservo.cli.terminal import load
 from hexservo.scenario.keys import all_paths, numeric_keys, sampled_keys, value_at
 from hexservo.scenario.laws import ALL_LAWS, LAWS
-from hexservo.scenario.parameters import core_parameters
+from hexservo.scenario.parameters import core_parameters, frame_period
 from hexservo.scenario.scenario import Scenario
 
 # A legal value of every key that acts in sampled mode alone, other than its default; a servo period is 1 ms.
@@ -306,18 +308,57 @@ def test_a_batch_on_a_continuous_scenario_refuses_them_too(short: hs.Scenario) -
 
 
 def test_frames_come_at_the_servo_period_unless_told_otherwise(short: hs.Scenario) -> None:
-    assert short.camera.period is None
     sampled = short.updated({"simulation.mode": "sampled"})
-    assert sampled.camera.period == sampled.simulation.step == 1e-3
     slower = sampled.updated({"simulation.step": 2e-3})
-    assert slower.camera.period == 2e-3
+    for scenario, period in ((short, 1e-3), (sampled, 1e-3), (slower, 2e-3)):
+        assert scenario.camera.period is None
+        assert frame_period(scenario) == period
     assert slower == short.updated({"simulation.step": 2e-3, "simulation.mode": "sampled"})
     assert slower.updated({"simulation.mode": "continuous"}) == short.updated({"simulation.step": 2e-3})
     kept = sampled.updated({"camera.period": 4e-3}).updated({"simulation.step": 2e-3})
     assert kept.camera.period == 4e-3
     assert kept.updated({"camera.period": None}) == slower
-    assert hs.Scenario.from_yaml(slower.to_yaml()) == slower
-    assert Camera().period is None
+
+
+def test_a_written_frame_period_stays_where_it_equals_the_servo_period(short: hs.Scenario, tmp_path: Path) -> None:
+    """By `updated`, from a file, as a setting and in a batch, before and after it was saved."""
+    sampled = short.updated({"simulation.mode": "sampled", "simulation.step": 2e-3})
+    written = sampled.updated({"camera.period": 2e-3})
+    assert written != sampled
+    file = tmp_path / "written.yaml"
+    file.write_text(written.to_yaml(), encoding="utf-8")
+    finer = {"simulation.step": 1e-3}
+    for same in (written, hs.Scenario.from_yaml(written.to_yaml()), pickle.loads(pickle.dumps(written))):
+        assert same == written
+        assert same.updated(finer).camera.period == 2e-3
+    assert hs.load_scenario(file, finer) == load(str(file), ["simulation.step=1e-3"]) == written.updated(finer)
+    coarser = {"simulation.step": 5e-3}
+    misfit = r"camera\.period: expected a whole number of servo periods \(simulation\.step"
+    for attempt in (
+        lambda: written.updated(coarser),
+        lambda: hs.load_scenario(file, coarser),
+        lambda: hs.simulate_batch(written, {"simulation.step": [5e-3]}),
+        lambda: hs.simulate_batch(written, {"simulation.step": [2e-3, 5e-3]}),
+    ):
+        with pytest.raises(ValueError, match=misfit):
+            attempt()
+    metrics = hs.metrics(hs.simulate(written.updated(finer)))
+    batch = hs.simulate_batch(written, {"simulation.step": [1e-3]}, log="metrics").metrics
+    assert batch["final_error"][0] == pytest.approx(metrics["final_error"], rel=1e-9)
+    assert metrics != hs.metrics(hs.simulate(sampled.updated(finer)))
+    with pytest.raises(hs.ScenarioError, match=r"camera\.period: has no effect in continuous mode"):
+        written.updated({"simulation.mode": "continuous"})
+
+
+def test_an_unwritten_frame_period_follows_after_it_was_saved(short: hs.Scenario, tmp_path: Path) -> None:
+    sampled = short.updated({"simulation.mode": "sampled"})
+    file = tmp_path / "shown.yaml"
+    file.write_text(sampled.to_yaml(), encoding="utf-8")
+    assert "period: null" in sampled.to_yaml()
+    for again in (hs.Scenario.from_yaml(sampled.to_yaml()), pickle.loads(pickle.dumps(sampled))):
+        assert again == sampled
+        assert frame_period(again.updated({"simulation.step": 2e-3})) == 2e-3
+    assert hs.load_scenario(file, {"simulation.step": 2e-3}) == sampled.updated({"simulation.step": 2e-3})
 
 
 def test_a_batch_of_servo_periods_takes_its_frames_along(short: hs.Scenario) -> None:

@@ -28,6 +28,7 @@ from hexservo.findings import sections
 from hexservo.findings.evidence import Column, Curves, HeatMap, Line, Section, Table
 from hexservo.findings.sections import Group, Source
 from hexservo.findings.wording import cell_text
+from hexservo.report import check_report
 from hexservo.report.charts import curves, needed
 from hexservo.report.documentation import is_page, page_html
 from hexservo.report.evidence_html import page_text
@@ -959,3 +960,11 @@ def test_nothing_is_cut_on_paper(visit: Callable[..., Visit]) -> None:
     ticks = shown.evaluate("getComputedStyle(document.querySelector('.chart .xtick text')).fill")
     assert brightness(ticks) > 0.7
     assert seen.problems == []
+
+
+@pytest.mark.parametrize("name", ["run.pdf", "run.html.txt"])
+def test_a_report_is_not_written_into_a_name_of_another_kind(tmp_path: Path, name: str) -> None:
+    with pytest.raises(OutputError, match=r"ending in \.html"):
+        check_report(tmp_path / name)
+    for good in ("run.html", "run.HTM", "run"):
+        check_report(tmp_path / good)

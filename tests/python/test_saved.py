@@ -171,6 +171,30 @@ def test_saving_keeps_other_files_and_replaces_its_own(limited: hs.Result, tmp_p
 # ---- What is refused ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "what"),
+    [
+        ("position", np.nan, "numbers that are not finite"),
+        ("depth", 0.5, "not negative"),
+        ("quaternion", 0.6, "not of length 1"),
+        ("time", 0.0, "does not increase"),
+    ],
+)
+def test_what_would_not_be_read_back_is_not_written(
+    limited: hs.Result, tmp_path: Path, name: str, value: float, what: str
+) -> None:
+    array = np.full_like(getattr(limited, name), value)
+    with pytest.raises(ValueError, match=f"^result: expected the arrays of a run, got {name}, which .*{what}"):
+        dataclasses.replace(limited, **{name: array}).save(tmp_path / "run.nc")
+    assert not list(tmp_path.iterdir())
+
+
+def test_arrays_that_were_read_are_read_only(limited: hs.Result, tmp_path: Path) -> None:
+    limited.save(tmp_path / "run.nc")
+    with pytest.raises(ValueError, match="read-only"):
+        hs.load_result(tmp_path / "run.nc").position[...] *= 1000.0
+
+
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(hs.ResultError, match=r"none\.nc.*expected a file that can be read, got: No such file"):
         hs.load_result(tmp_path / "none.nc")

@@ -8,12 +8,16 @@ import os
 import pickle
 import shutil
 import time
+from array import array
+from collections import deque
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
+import xarray
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
@@ -795,7 +799,7 @@ def test_any_valid_sampled_scenario_survives_yaml(
     again = hs.Scenario.from_yaml(scenario.to_yaml())
     assert again == scenario
     assert again.seed == seed
-    assert again.camera.period == (1e-3 if period is None else period)
+    assert again.camera.period == period
 
 
 def test_depths_whose_image_jacobian_overflows_are_refused() -> None:
@@ -804,3 +808,40 @@ def test_depths_whose_image_jacobian_overflows_are_refused() -> None:
     for _ in range(10):
         with pytest.raises(hs.ScenarioError, match=expected):
             hs.load_scenario("paper").updated({"target.depth": [5e5, 1e-150, 3e-8, 1e300]})
+
+
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        array("d", [0.0, 0.0, 9.81]),
+        memoryview(array("d", [0.0, 0.0, 9.81])),
+        deque([0.0, 0.0, 9.81]),
+        range(3),
+        pd.Series([0.0, 0.0, 9.81]),
+        xarray.DataArray([0.0, 0.0, 9.81]),
+        np.array([0.0, 0.0, 9.81], dtype=np.longdouble),
+        np.ma.array([0.0, 0.0, 9.81]),
+    ],
+    ids=lambda numbers: type(numbers).__name__,
+)
+def test_whatever_holds_numbers_is_taken(paper: hs.Scenario, numbers: Any) -> None:
+    assert paper.updated({"robot.gravity": numbers}).robot.gravity == tuple(map(float, np.asarray(numbers)))
+
+
+def test_a_long_double_is_a_number_and_bytes_are_none(paper: hs.Scenario) -> None:
+    assert paper.updated({"robot.mass": np.longdouble(0.25)}).robot.mass == 0.25
+    with pytest.raises(hs.ScenarioError, match=r"robot\.gravity: expected .*, got a Python bytes"):
+        paper.updated({"robot.gravity": b"abc"})
+
+
+@pytest.mark.parametrize("numbers", [np.ma.masked, np.ma.array([0.0, 0.0, 9.81], mask=[True, False, False])])
+def test_masked_values_are_refused(paper: hs.Scenario, numbers: Any) -> None:
+    with pytest.raises(hs.ScenarioError, match=r"^robot\.gravity: expected a value without a mask, got a masked one"):
+        paper.updated({"robot.gravity": numbers})
+
+
+def test_an_empty_key_is_shown_in_quotes(paper: hs.Scenario) -> None:
+    with pytest.raises(hs.ScenarioError, match=r'^"": unknown key'):
+        paper.updated({"": 1})
+    with pytest.raises(hs.ScenarioError, match=r'robot\.mass: expected .*, got a block with the keys ""$'):
+        paper.updated({"robot.mass.": 1})

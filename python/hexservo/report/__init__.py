@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+from pathlib import PurePath
 from typing import TYPE_CHECKING
 
 from hexservo.report.html import TITLE
 from hexservo.run.files import check_file, write_file
+from hexservo.run.publish import OutputError
+from hexservo.run.sealed import shown_path
 
 if TYPE_CHECKING:
     from hexservo.run.result import Result
@@ -14,6 +17,7 @@ if TYPE_CHECKING:
 __all__ = ["check_report", "write_report"]
 
 _AUTHOR = "`hexservo report`"
+_ENDINGS = ("", ".html", ".htm")
 
 
 def write_report(result: Result, path: str | os.PathLike[str], *, force: bool = False) -> None:
@@ -37,7 +41,7 @@ def write_report(result: Result, path: str | os.PathLike[str], *, force: bool = 
     TypeError
         For anything but a `Result`.
     OutputError
-        The file exists, is not a report, or cannot be written.
+        The file exists, is not a report, or cannot be written; its name has an ending other than .html and .htm.
     """
     from hexservo.report.page import page
     from hexservo.run.result import require_result
@@ -56,3 +60,6 @@ def check_report(path: str | os.PathLike[str], *, force: bool = False) -> None:
         As `write_report`, as far as it can be checked without writing.
     """
     check_file(path, TITLE, _AUTHOR, force=force)
+    ending = PurePath(os.fsdecode(path)).suffix
+    if ending.lower() not in _ENDINGS:
+        raise OutputError(f"{shown_path(path)}: expected a name ending in .html, since a report is HTML, got {ending}")

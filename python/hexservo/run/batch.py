@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import operator
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -28,7 +29,7 @@ from hexservo.run.variations import (
     fitted_variations,
     unit_of_varied,
 )
-from hexservo.scenario.arrays import Array
+from hexservo.scenario.arrays import Array, read_only
 from hexservo.scenario.fields import described
 from hexservo.scenario.leg_units import unit_of
 from hexservo.scenario.parameters import core_parameters
@@ -62,7 +63,8 @@ _MAX_THREADS = 1024
 class BatchResult:
     """Results of n scenarios, in the order of their variations. Axis 0 of every array is the scenario.
 
-    Frames and orders: docs/model.md section 1. Arrays share the batch's memory.
+    Frames and orders: docs/model.md section 1. Arrays are read-only and share the batch's memory: take a copy of
+    what is to be changed.
     """
 
     scenario: Scenario  # what the variations vary
@@ -97,13 +99,19 @@ class BatchResult:
 
         Raises
         ------
+        TypeError
+            For an index that is no integer.
         IndexError
             For an index that no scenario has.
         """
-        if self.outcome[index] == "interrupted":
+        try:
+            run = operator.index(index)
+        except TypeError:
+            raise wrong_type("index", "an integer", index) from None
+        if self.outcome[run] == "interrupted":
             return "interrupted before its end"
-        cause = _core.StopCause[str(self.cause[index])]
-        return _core.describe(cause, float(self.stop_time[index]), int(self.limit_leg[index]) - 1)
+        cause = _core.StopCause[str(self.cause[run])]
+        return _core.describe(cause, float(self.stop_time[run]), int(self.limit_leg[run]) - 1)
 
     def to_dataframe(self) -> pandas.DataFrame:
         """Return the batch as a flat table: a row for each run, with what varies, how it ended, and its metrics.
@@ -273,10 +281,8 @@ def simulate_batch(
     arrays = checked_variations(scenario, variations)
     count = max(len(values) for values in arrays.values())
     if controller is not None:
-        return _run_custom(scenario, arrays, count, log, threads, progress, controller, asked)
+        return _read_only(_run_custom(scenario, arrays, count, log, threads, progress, controller, asked))
     varied = fitted_variations(scenario, arrays)
-    if "simulation.step" in arrays and scenario.camera.period == scenario.simulation.step:
-        varied.setdefault("camera.period", arrays["simulation.step"])  # a frame at every tick, as `updated` has it
     rows = [(key, np.ascontiguousarray(values.reshape(len(values), -1))) for key, values in varied.items()]
     with _reporting(progress) as report:
         run = _core.simulate_batch(
@@ -285,7 +291,7 @@ def simulate_batch(
     samples = dict(run.samples)
     if run.fuzzy_weights is not None:
         samples["fuzzy_weights"] = run.fuzzy_weights
-    return BatchResult(
+    found = BatchResult(
         scenario=scenario,
         variations=arrays,
         outcome=_OUTCOMES[run.outcome],
@@ -297,6 +303,15 @@ def simulate_batch(
         samples=samples,
         time=run.time,
     )
+    return _read_only(found)
+
+
+def _read_only(batch: BatchResult) -> BatchResult:
+    """Return a batch after its arrays were made read-only."""
+    alone = (batch.outcome, batch.cause, batch.limit_leg, batch.end_time, batch.stop_time, batch.time)
+    for array in (*alone, *batch.variations.values(), *batch.metrics.values(), *batch.samples.values()):
+        read_only(array)
+    return batch
 
 
 # ---- A custom controller --------------------------------------------------------------------------------------------

@@ -117,7 +117,8 @@ class LimitEvent:
 class Result:
     """Samples of one run, on the grid that ``simulation.log_every`` asks for; the last good sample is always there.
 
-    Frames and orders: docs/model.md section 1. Arrays are C-contiguous and share the run's memory.
+    Frames and orders: docs/model.md section 1. Arrays are C-contiguous, read-only and share the run's memory: copy what
+    is to be changed.
     """
 
     scenario: Scenario  # that was run
@@ -185,6 +186,8 @@ class Result:
         ------
         OutputError
             The file exists, is no result, or cannot be written (a `ValueError`).
+        ValueError
+            An array has numbers that no run has, such as NaN: nothing is written.
         """
         save_result(self, path, force=force)
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from hexservo.run.metrics import METRICS
 from hexservo.run.result import LimitEvent, LimitKind, Outcome, Result, quantities
-from hexservo.run.saving import EVENT_HEAD, HISTORY
+from hexservo.run.saving import EVENT_HEAD, HISTORY, problem_of_values
 from hexservo.run.sealed import ResultError, line_of, refuse_changed, sealed_blocks, shown_path
-from hexservo.scenario.arrays import Array
+from hexservo.scenario.arrays import Array, read_only
 from hexservo.scenario.reading import open_regular
 from hexservo.scenario.wording import quoted
 from hexservo.scenario.yaml import ScenarioError
@@ -67,7 +67,7 @@ def _parsed(content: bytes, place: str) -> tuple[dict[str, Array], dict[str, Any
                 data = file[name]
                 if data.dtype != np.float64 or data.nbytes > len(content):  # more than was written
                     refuse_changed(place, f"variable {name}")
-                arrays[name] = np.ascontiguousarray(data[...])
+                arrays[name] = read_only(np.ascontiguousarray(data[...]))
     except ResultError:
         raise
     except Exception as error:  # whatever HDF5 and its wrappers raise
@@ -110,7 +110,7 @@ def _result(arrays: Mapping[str, Array], attributes: Mapping[str, Any], place: s
 
 
 def _check_arrays(arrays: Mapping[str, Array], place: str) -> None:
-    """Refuse arrays that no run has: other shapes, no sample, numbers that are not finite, decreasing times."""
+    """Refuse arrays that no run has: other shapes, no sample, and values as `problem_of_values` finds them."""
     time = arrays["time"]
     count = len(time) if time.ndim else 0
     if count == 0:
@@ -120,14 +120,8 @@ def _check_arrays(arrays: Mapping[str, Array], place: str) -> None:
         expected = (count, *shape[1:]) if shape[0] < 0 else shape
         if arrays[name].shape != expected:
             refuse_changed(place, f"variable {name}: shape {arrays[name].shape} where {expected} is expected")
-        if not np.isfinite(arrays[name]).all():
-            refuse_changed(place, f"variable {name}, which has numbers that are not finite")
-    if time[0] != 0 or not (np.diff(time) > 0).all():
-        refuse_changed(place, "variable time, which does not increase from 0")
-    if not np.allclose(np.linalg.norm(arrays["quaternion"], axis=1), 1.0, rtol=0, atol=1e-9):
-        refuse_changed(place, "variable quaternion, which is not of length 1")
-    if not (arrays["depth"] < 0).all():
-        refuse_changed(place, "variable depth, which is not negative")
+    if problem := problem_of_values(arrays):
+        refuse_changed(place, f"variable {problem}")
 
 
 def _events(table: str, place: str, rotary: bool) -> tuple[LimitEvent, ...]:

@@ -6,9 +6,12 @@ import os
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from hexservo.run.files import check_file, write_file
 from hexservo.run.metrics import metrics
 from hexservo.run.sealed import FORMAT, is_sealed, sealed_bytes
+from hexservo.scenario.arrays import Array
 
 if TYPE_CHECKING:
     from hexservo.run.result import LimitEvent, Result
@@ -31,8 +34,32 @@ def saved_attributes(result: Result) -> dict[str, Any]:
 
 
 def result_bytes(result: Result) -> memoryview:
-    """Return a file's content, made in memory: on a full disk HDF5 itself does not fail but crashes the process."""
-    return sealed_bytes(result.to_xarray())
+    """Return a file's content, made in memory: on a full disk HDF5 itself does not fail but crashes the process.
+
+    Raises
+    ------
+    ValueError
+        For arrays that no run has, which `load_result` refuses.
+    """
+    dataset = result.to_xarray()
+    if problem := problem_of_values({name: dataset[str(name)].values for name in ("time", *dataset.data_vars)}):
+        raise ValueError(f"result: expected the arrays of a run, got {problem}; save what hs.simulate returned")
+    return sealed_bytes(dataset)
+
+
+def problem_of_values(arrays: Mapping[Any, Array]) -> str | None:
+    """Return in words what no run has in its arrays: numbers that are not finite, decreasing times and the like."""
+    for name, values in arrays.items():
+        if not np.isfinite(values).all():
+            return f"{name}, which has numbers that are not finite"
+    time = arrays["time"]
+    if time[0] != 0 or not (np.diff(time) > 0).all():
+        return "time, which does not increase from 0"
+    if not np.allclose(np.linalg.norm(arrays["quaternion"], axis=1), 1.0, rtol=0, atol=1e-9):
+        return "quaternion, which is not of length 1"
+    if not (arrays["depth"] < 0).all():
+        return "depth, which is not negative"
+    return None
 
 
 def save_result(result: Result, path: str | os.PathLike[str], *, force: bool = False) -> None:
@@ -51,6 +78,8 @@ def save_result(result: Result, path: str | os.PathLike[str], *, force: bool = F
     ------
     OutputError
         The file exists, is no saved result or was changed, or cannot be written.
+    ValueError
+        For arrays that no run has, as `result_bytes`.
     """
     check_saved(path, force=force)  # before the work
     write_file(result_bytes(result), path, is_sealed, "hexservo", force=force)

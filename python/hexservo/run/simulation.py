@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from typing import cast
 
+import numpy as np
+
 from hexservo import _core
 from hexservo.run.custom_controller import OwnController, function_name, run_with
 from hexservo.run.metrics import METRICS
 from hexservo.run.result import LimitEvent, LimitKind, Outcome, Result, quantities
 from hexservo.run.variant import chosen_kernel
+from hexservo.scenario.arrays import read_only
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario, require_scenario
 from hexservo.scenario.wording import wrong_type
@@ -38,7 +41,8 @@ def simulate(scenario: Scenario, *, controller: OwnController | None = None, log
     Raises
     ------
     TypeError
-        For anything but a `Scenario`, and for a controller that cannot be called.
+        For anything but a `Scenario`, for a controller that cannot be called, and for ``log_weights`` that is no
+        boolean.
     ValueError
         For a scenario that the core refuses (a `Scenario` is checked when it is made, so this is rare); where the log
         would not fit because of the weights; for a controller in continuous mode; for a command of another shape or
@@ -47,8 +51,10 @@ def simulate(scenario: Scenario, *, controller: OwnController | None = None, log
         Where the environment variable HEXSERVO_VARIANT asks for a compiled variant that is not there.
     """
     require_scenario(scenario)
+    if not isinstance(log_weights, bool | np.bool_):
+        raise wrong_type("log_weights", "True or False", log_weights)
     if controller is None:
-        run = _core.simulate(core_parameters(scenario), chosen_kernel(), log_weights)
+        run = _core.simulate(core_parameters(scenario), chosen_kernel(), bool(log_weights))
     elif callable(controller):
         run = run_with(scenario, controller)
     else:
@@ -62,7 +68,7 @@ def simulate(scenario: Scenario, *, controller: OwnController | None = None, log
         detail=run.detail,
         events=tuple(_limit_event(event, scenario.robot.legs == "rotary") for event in run.events),
         streamed_metrics={name: getattr(run.metrics, name) for name in METRICS},
-        **{name: getattr(run, name) for name in arrays},
+        **{name: read_only(getattr(run, name)) for name in arrays},
     )
 
 

@@ -234,7 +234,7 @@ class Camera(Block):
     mount: CameraMount = Field(default_factory=CameraMount)
     # eye_in_hand: the image of the points by (4), s = -1; as_printed: the features integrate (8) as it stands, s = 1
     convention: Annotated[Literal["eye_in_hand", "as_printed"], Choice()] = "eye_in_hand"
-    # [s], between exposures; null: the servo period, which a scenario in sampled mode fills in
+    # [s], between exposures; null: the servo period, also where that changes
     period: Annotated[float | None, OptionalNumber(above=0), SAMPLED] = None
     latency: Annotated[NumberNotNegative, SAMPLED] = 0.0  # [s], from an exposure to its first use
     latency_jitter: Annotated[NumberNotNegative, SAMPLED] = 0.0  # [s], most that the latency of a frame is longer

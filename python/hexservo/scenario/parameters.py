@@ -89,5 +89,5 @@ def gains_of(settings: Settings) -> Any:
 
 
 def frame_period(scenario: Blocks) -> float:
-    """Return the time between two exposures [s]: the servo period where the scenario, in continuous mode, has none."""
+    """Return the time between two exposures [s]: the servo period where ``camera.period`` is null."""
     return scenario.simulation.step if scenario.camera.period is None else scenario.camera.period

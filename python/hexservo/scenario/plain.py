@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -27,9 +28,8 @@ def plain(value: Any, place: str = "", depth: int = 0) -> Any:
             if not isinstance(key, str) or not _is_unicode(key):
                 raise ScenarioError(f"{place or 'the scenario'}: expected keys that are text, got {shown_value(key)}")
         return {str(key): plain(item, f"{place}.{key}".lstrip("."), depth + 1) for key, item in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
-    if isinstance(value, list | tuple):
+    value = _of_numpy(value, place)
+    if isinstance(value, Sequence | deque) and not isinstance(value, str | bytes | bytearray):
         return [plain(item, place, depth + 1) for item in value]
     if isinstance(value, str) and not _is_unicode(value):
         raise ScenarioError(f"{place}: expected text of whole Unicode characters, got {shown_value(value)}")
@@ -37,6 +37,19 @@ def plain(value: Any, place: str = "", depth: int = 0) -> Any:
         if isinstance(value, kind):
             return kind(value)
     return value
+
+
+def _of_numpy(value: Any, place: str) -> Any:
+    """Return arrays, and what NumPy reads as an array of numbers, as lists or numbers of Python; the rest as it is."""
+    if isinstance(value, memoryview) or (hasattr(value, "__array__") and not isinstance(value, type | np.generic)):
+        if np.ma.is_masked(value):  # which a list would have as null
+            raise ScenarioError(f"{place}: expected a value without a mask, got a masked one; fill it in")
+        if not isinstance(value, np.ndarray):
+            numbers = np.asarray(value)
+            value = numbers if numbers.dtype.kind in "biuf" else value
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    return float(value) if isinstance(value, np.floating) else value  # a long double stays one
 
 
 def _is_unicode(text: str) -> bool:

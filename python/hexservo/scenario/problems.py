@@ -25,7 +25,8 @@ def in_words(error: ValidationError, root: type[BaseModel] = Blocks) -> Iterator
         if kind == "missing":
             missing.setdefault(place[:-1], []).append(str(place[-1]))
         elif kind == "extra_forbidden":
-            yield f"{_path(place)}: {_unknown_key(place, root)}"
+            named = _path(place) or '""'  # an empty key
+            yield f"{named}: {_unknown_key(place, root)}"
         elif kind == "value_error":  # from a check of the whole, which places its own lines
             yield from str(problem["ctx"]["error"]).splitlines()
         elif kind == "scenario":

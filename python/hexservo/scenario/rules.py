@@ -468,7 +468,8 @@ def shown_value(value: Any) -> str:
     if isinstance(value, str):
         return f'"{value}"' if len(value) <= 58 else f'"{value[:55]}..."'
     if isinstance(value, dict):
-        return _shortened(f"a block with the keys {', '.join(list(value)[:8])}" if value else "an empty block")
+        keys = [key or '""' for key in list(value)[:8]]
+        return _shortened(f"a block with the keys {', '.join(keys)}" if keys else "an empty block")
     if isinstance(value, list):
         return _shortened(
             f"[{', '.join(shown_value(item) for item in value[:12])}{', ...' if len(value) > 12 else ''}]"

@@ -18,14 +18,13 @@ from pydantic import ValidationError, model_validator
 
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.blocks import DEFAULT_DEPTH, DEFAULT_PRESET, Blocks, preset_values
-from hexservo.scenario.core_defaults import core_default
 from hexservo.scenario.fitted import chosen_keys, idle_gains, with_fitted_gains, without_fitted_gains
 from hexservo.scenario.keys import sampled_keys, value_at, without_effect
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.placing import problem_of_recording, read_motion, read_target
 from hexservo.scenario.plain import plain, put
 from hexservo.scenario.problems import in_words, listing
-from hexservo.scenario.rules import did_you_mean, is_number, shown_value
+from hexservo.scenario.rules import did_you_mean, shown_value
 from hexservo.scenario.tag import require_counts_elsewhere
 from hexservo.scenario.wording import wrong_type
 from hexservo.scenario.yaml import ScenarioError, dump_yaml, load_yaml, read_yaml
@@ -35,7 +34,8 @@ class Scenario(Blocks):
     """All that a run depends on. Immutable; a scenario that exists is one that can run.
 
     Two scenarios are equal when they mean the same: six equal gains are that gain, a table that equals the linear one
-    is "linear", values that a preset fills in are as good as written ones.
+    is "linear", values that a preset fills in are as good as written ones. A ``camera.period`` of null, which follows
+    the servo period, differs from a number, even one that equals it.
     """
 
     def __init__(self, /, **keys: Any) -> None:
@@ -54,27 +54,11 @@ class Scenario(Blocks):
     @model_validator(mode="before")
     @classmethod
     def _fill_in(cls, data: Any) -> Any:
-        """Fill in the gains that fit, and the camera's period.
-
-        That is the servo period in sampled mode, and null in continuous mode, where it is none.
-        """
+        """Fill in the gains that fit."""
         if not isinstance(data, dict):
             return data
         require_counts_elsewhere(data)
-        data = with_fitted_gains(data)
-        camera, simulation = data.get("camera", {}), data.get("simulation", {})
-        if not isinstance(camera, dict) or not isinstance(simulation, dict):
-            return data  # refused at its own place
-        step = simulation.get("step", core_default("simulation.step"))
-        if not is_number(step):
-            return data
-        period = camera.get("period")
-        sampled = simulation.get("mode") == SAMPLED_MODE
-        if sampled and period is None and step > 0:
-            return {**data, "camera": {**camera, "period": step}}
-        if not sampled and period == step:
-            return {**data, "camera": {**camera, "period": None}}
-        return data
+        return with_fitted_gains(data)
 
     @model_validator(mode="after")
     def _can_run(self) -> Scenario:
@@ -125,15 +109,19 @@ class Scenario(Blocks):
         Parameters
         ----------
         changes
-            Values by dotted key, as ``{"uncertainty.depth": -0.3}``. A mapping as the value of a block changes the
-            keys it names and leaves the others alone. Changing ``robot.preset`` brings that preset's values, except
-            where this scenario differs from its own preset. To give the target's points in the other form, set the
-            keys of the first form to None. What was read into other keys is unchanged: a tag, a grid and a
-            desired pose are points and features by now, which another camera, mount or home leaves alone, and specific
-            forces are kinematic accelerations: another recording needs ``base_motion.frame_of_acceleration`` beside
-            it, and ``specific_force`` another recording. Their weight was taken out with the ``robot.gravity`` that
-            they were read with: another one leaves the difference of the two in them, a constant acceleration of the
-            base that it did not have. `load_scenario` with changes, and ``--set``, read them afterwards.
+            Values by dotted key, as ``{"uncertainty.depth": -0.3}``. A mapping as the value of a block changes the keys
+            it names and leaves the others alone. A ``camera.period`` that is a number stays where ``simulation.step``
+            changes, whatever it equals, and is refused where it does not fit; null, a frame at every servo period,
+            follows. Changing ``robot.preset`` brings that preset's values, except where this scenario differs from its
+            own preset, and gains are computed again, except where they differ from what ``auto``, or the defaults
+            without it, gave: a value that is written as it would follow counts as one that follows. To give the
+            target's points in the other form, set the keys of the first form to None. What was read into other keys is
+            unchanged: a tag, a grid and a desired pose are points and features by now, which another camera, mount or
+            home leaves alone, and specific forces are kinematic accelerations: another recording needs
+            ``base_motion.frame_of_acceleration`` beside it, and ``specific_force`` another recording. Their weight was
+            taken out with the ``robot.gravity`` that they were read with: another one leaves the difference of the two
+            in them, a constant acceleration of the base that it did not have. `load_scenario` with changes, and
+            ``--set``, read them afterwards.
 
         Raises
         ------
@@ -161,8 +149,6 @@ class Scenario(Blocks):
             keys["robot"] = {key: value for key, value in keys["robot"].items() if preset.get(key) != value}
         if self.target.depth == DEFAULT_DEPTH:
             del keys["target"]["depth"]
-        if self.camera.period == self.simulation.step:
-            del keys["camera"]["period"]
         without_fitted_gains(self, keys)
         return keys
 

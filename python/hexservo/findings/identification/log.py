@@ -278,7 +278,9 @@ def _columns(cells: Sequence[str], source: str) -> tuple[Mapping[str, int], int]
     names = [cell.strip() for cell in cells]
     missing = [name for name in _REQUIRED if name not in names]
     if missing:
-        raise ScenarioError(f"expected the columns {', '.join(_REQUIRED)}, got none of {', '.join(missing)}", source)
+        some = len(missing) < len(_REQUIRED)
+        got = f"all but {', '.join(missing)}" if some else f"a line of {len(names)} other names"
+        raise ScenarioError(f"expected the columns {', '.join(_REQUIRED)}, got {got}", source)
     points = sum(f"x_{point}" in names for point in range(1, len(names)))
     image = [f"{axis}_{point}" for point in range(1, points + 1) for axis in "xy"]
     known = {*_REQUIRED, *image, *([_EXPOSURE, _ARRIVAL] if points else [])}
