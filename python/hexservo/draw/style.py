@@ -32,6 +32,7 @@ class Ink(NamedTuple):
 BLACK, BLUE, VERMILION, GREEN, PURPLE, ORANGE = "#000000", "#0072B2", "#D55E00", "#009E73", "#B85F93", "#CC8400"
 GREY = "0.45"
 DASHED, DASH_DOT = (0, (4, 1.2)), (0, (5, 1, 1.2, 1))
+AXES_INKS: tuple[Ink, ...] = (Ink(BLUE), Ink(VERMILION, DASHED), Ink(GREEN, DASH_DOT))  # x, y, z
 LEG_INKS = (
     Ink(BLACK),
     Ink(ORANGE),

@@ -16,6 +16,7 @@ from hexservo.run.samples import (
     ImageView,
     extreme_samples,
     feature_names,
+    force_panels,
     image_views,
     mean_samples,
     moving_mean,
@@ -41,7 +42,7 @@ class _Ink(NamedTuple):
 
 
 _POINT_COLOURS = ("@blue", "@vermilion", "@green", "@black", "@purple", "@orange")  # repeated for more points
-_AXES = (_Ink("@blue"), _Ink("@vermilion", "dash"), _Ink("@green", "dashdot"))
+_AXES: tuple[_Ink, ...] = (_Ink("@blue"), _Ink("@vermilion", "dash"), _Ink("@green", "dashdot"))
 _LEGS = (
     _Ink("@black"),
     _Ink("@orange"),
@@ -63,7 +64,7 @@ def figures(result: Result) -> list[tuple[str, list[Html]]]:
         ("Feature errors", "2b", _feature_errors(result)),
         ("Feature paths in the image", "3", _feature_paths(result)),
         ("Motion of the platform", "4", _platform_motion(result)),
-        ("Wrench and leg forces", "5", _wrench(result)),
+        (_wrench_title(result), "5", _wrench(result)),
         ("Legs and their limits", "", _legs(result)),
     ]
     if moves(result.scenario.base_motion):
@@ -204,7 +205,7 @@ def _platform_motion(result: Result) -> list[Html]:
     rotation = 1e3 * turns_from_home(result, result.quaternion)
     return [
         _over_time(
-            result, f"Position relative to home, in B ({vertical(result)})", "displacement [mm]", displacement, "xyz"
+            result, f"Position relative to home, in B{vertical(result)}", "displacement [mm]", displacement, "xyz"
         ),
         _over_time(
             result,
@@ -216,8 +217,13 @@ def _platform_motion(result: Result) -> list[Html]:
     ]
 
 
+def _wrench_title(result: Result) -> str:
+    """Return what the log's wrench is: for legs that follow positions, what their motion takes."""
+    takes = " that the motion takes" if result.scenario.actuators.kind == "position" else ""
+    return f"Wrench and leg forces{takes}"
+
+
 def _wrench(result: Result) -> list[Html]:
-    weight = float(core_parameters(result.scenario).body.gravity_wrench[2])
     count = mean_samples(result.time)
     note = ""
     if count > 1:
@@ -225,24 +231,25 @@ def _wrench(result: Result) -> list[Html]:
         note = f"Thin lines are samples, thick lines their mean over {period:.3g} ms."
     wrench = result.wrench
     label, title = leg_units(result.scenario.robot).efforts
-    level = [_level(weight)]
     forces, limit = result.leg_forces, result.scenario.robot.force_limit
     low, high = _range(forces)
     limits = [value for value in (-limit, limit) if low < value < high]
     of_limit = f"Dotted: limit of {limit:.4g} {leg_units(result.scenario.robot).effort}." if limits else ""
     return [
-        _over_time(result, "Horizontal force, in B", "force [N]", wrench[:, :2], ["fx", "fy"], count, note=note),
-        _over_time(
-            result,
-            f"Vertical force, in B ({vertical(result)})",
-            "force [N]",
-            wrench[:, 2:3],
-            ["fz"],
-            count,
-            inks=[_Ink("@green")],
-            shapes=level,
-            also=(weight,),
-            note=f"Dotted: {weight:.4g} N, the weight that the law feeds forward. {note}".strip(),
+        *(
+            _over_time(
+                result,
+                panel.title,
+                "force [N]",
+                wrench[:, panel.columns],
+                panel.names,
+                count,
+                inks=_AXES[panel.columns],
+                shapes=[_level(weight) for weight in panel.weights.values()],
+                also=tuple(panel.weights.values()),
+                note=f"{panel.note} {note}".strip(),
+            )
+            for panel in force_panels(result)
         ),
         _over_time(result, "Moment, in B", "moment [mN m]", 1e3 * wrench[:, 3:], ["mx", "my", "mz"], count, note=note),
         _over_time(
