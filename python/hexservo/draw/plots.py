@@ -56,7 +56,7 @@ from hexservo.draw.style import (
     styled,
 )
 from hexservo.draw.wrench import control_wrench
-from hexservo.run.leg_limits import limits_of_motion
+from hexservo.run.leg_limits import exceeded_limits, limits_of_motion
 from hexservo.run.metrics import metrics
 from hexservo.run.result import Result, require_result
 from hexservo.run.samples import ImageView, feature_names, image_views, vertical
@@ -340,13 +340,20 @@ def paper_images(result: Result) -> dict[str, bytes]:
         "fig3_feature_paths": feature_paths(result),
         "fig4_platform_motion": platform_motion(result),
         "fig5_wrench": control_wrench(result),
-        **({"legs": leg_limits(result)} if len(limits_of_motion(result.scenario)) > 1 else {}),
+        **({"legs": leg_limits(result)} if _legs_matter(result) else {}),
     }
     return {
         f"{name}.{extension}": image_bytes(figure, extension)
         for name, figure in figures.items()
         for extension in ("svg", "png")
     }
+
+
+def _legs_matter(result: Result) -> bool:
+    """Return whether the robot limits more than its stroke, or the run exceeded that or ended there."""
+    limits = limits_of_motion(result.scenario)
+    exceeded = {limit.kind for limit in exceeded_limits(result.scenario, metrics(result))}
+    return len(limits) > 1 or "stroke" in exceeded or result.outcome == "leg_limit"
 
 
 # ---- The image ------------------------------------------------------------------------------------------------------
