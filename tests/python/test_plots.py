@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 import subprocess
 import sys
 import threading
@@ -27,6 +28,7 @@ from hexservo.draw.panels import _spread
 from hexservo.draw.paper_figures import paper_figures
 from hexservo.draw.style import our_style
 from hexservo.draw.wrench import control_wrench
+from hexservo.report.figures import figures
 from hexservo.run.files import MARKER
 from hexservo.run.publish import OutputError
 from hexservo.run.samples import rotation_vectors
@@ -484,6 +486,25 @@ def test_lines_differ_in_colour_and_dashes(draw: Callable[[hs.Result], Figure], 
         }
         assert len({str(curve.get_color()) for curve in drawn.values()}) == len(names)
         assert len({str(vars(curve)["_unscaled_dash_pattern"]) for curve in drawn.values()}) == len(names)
+
+
+def test_lines_of_many_points_differ_and_the_worst_are_named() -> None:
+    points = [[0.5 + 0.16 * (i - 1.5), 0.16 * (j - 1.5), -4.728] for i in range(4) for j in range(4)]
+    changes = {"target.tag": None, "target.desired_features": None, "target.points": points}
+    pose = {"target.desired_pose": [0.08, 0.03, 0.04, 0.02, -0.02, 0.08], "simulation.duration": 0.1}
+    result = hs.simulate(hs.load_scenario("moog-6dof2000e", {**changes, **pose}))
+    figure = plots.feature_errors(result)
+    render(figure)
+    (axes,) = figure.axes
+    curves = [drawn for drawn in axes.lines if str(drawn.get_gid())[0] in "xy"]
+    looks = {(str(drawn.get_color()), str(vars(drawn)["_unscaled_dash_pattern"])) for drawn in curves}
+    assert len(looks) == len(curves) == 32
+    worst = np.argsort(-np.abs(result.feature_error[-1]))[:2]
+    assert {text.get_text() for text in axes.texts} == {str(curves[line].get_gid()) for line in worst}
+    assert_texts_can_be_read(figure)
+    (chart,) = dict(figures(result))["Feature errors"]
+    drawn = re.findall(r'"line": ?({[^}]*"dash"[^}]*})', str(chart))
+    assert len(set(drawn)) == 32
 
 
 # ---- The rotation vector --------------------------------------------------------------------------------------------

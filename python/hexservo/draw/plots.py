@@ -43,6 +43,7 @@ from hexservo.draw.style import (
     BLACK,
     BLUE,
     COLUMN,
+    DASH_DOT,
     DASHED,
     GREEN,
     GREY,
@@ -72,7 +73,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _POINT_COLOURS = (BLUE, VERMILION, GREEN, BLACK, PURPLE, ORANGE)
+_POINT_DASHES = (("-", DASHED), ((0, (9, 1.2)), DASH_DOT), ((0, (1, 1)), (0, (9, 1.2, 1.2, 1.2))))  # of x, y; by six
 _MOST_LABELS = 14  # of lines beside the feature errors: as many as stand apart
+_WORST = 2  # lines that are labelled where there are more: those with the largest errors at the end
 
 _START: dict[str, Any] = {"marker": "o", "markersize": 5, "markerfacecolor": "white", "markeredgewidth": 1.1}
 _END: dict[str, Any] = {"marker": "o", "markersize": 3.2, "markeredgewidth": 0}
@@ -181,10 +184,7 @@ def feature_errors(result: Result, *, ax: Axes | None = None) -> Figure | Axes:
     require_result(result)
     band = result.scenario.metrics.band
     points = result.scenario.target.count
-    names, inks = (
-        feature_names(points),
-        [Ink(_point_colour(n), style) for n in range(points) for style in ("-", DASHED)],
-    )
+    names, inks = feature_names(points), _inks_of_points(points)
     if ax is not None:
         (panel,) = whole_run(ax, result, [result.feature_error])
         draw_band(ax, band)
@@ -192,7 +192,8 @@ def feature_errors(result: Result, *, ax: Axes | None = None) -> Figure | Axes:
         describe([panel], "feature error [px]", f"Feature errors (shaded: ±{band:g} px)", time=True)
         note_outcome(ax, result)
         return ax
-    figure = Figure(figsize=(PAGE, 2.48))
+    families = _families(points)
+    figure = Figure(figsize=(PAGE, 2.48 if len(families) == 2 else 2.68))
     parts = _parts(result)
     if len(parts) == 1:
         boxes = [(0.68, 6.11)]
@@ -208,10 +209,10 @@ def feature_errors(result: Result, *, ax: Axes | None = None) -> Figure | Axes:
         draw_lines(axes, result.time[part], errors, names, inks)
         set_limits(axes, result.time[part], errors)
         describe([Panel(axes, part, fixed=True)], "feature error [px]", title, time=True)
-    if len(names) <= _MOST_LABELS:
-        label_ends(axes, dict(zip(names, errors[-1], strict=True)), inks)
-    solid, dashed = (Line2D([], [], color=GREY, linestyle=ink.dashes) for ink in inks[:2])
-    draw_legend(figure, {f"{names[0]} to {names[-2]}": solid, f"{names[1]} to {names[-1]}": dashed})
+    ends = np.abs(errors[-1])
+    labelled = range(len(names)) if len(names) <= _MOST_LABELS else np.argsort(-ends, kind="stable")[:_WORST]
+    label_ends(axes, {names[line]: float(errors[-1, line]) for line in labelled}, [inks[line] for line in labelled])
+    draw_legend(figure, {name: Line2D([], [], color=GREY, linestyle=dashes) for name, dashes in families.items()})
     note_outcome(figure, result)
     return figure
 
@@ -362,6 +363,28 @@ def _legs_matter(result: Result) -> bool:
 def _point_colour(number: int) -> str:
     """Return the colour of a point, counted from 0; where there are more points than colours, they repeat."""
     return _POINT_COLOURS[number % len(_POINT_COLOURS)]
+
+
+def _inks_of_points(points: int) -> list[Ink]:
+    """Return the inks of x and y of each point: points of the same colour have other dashes, up to 18 points."""
+    count = len(_POINT_COLOURS)
+    return [
+        Ink(_point_colour(number), dashes)
+        for number in range(points)
+        for dashes in _POINT_DASHES[number // count % len(_POINT_DASHES)]
+    ]
+
+
+def _families(points: int) -> dict[str, Any]:
+    """Return the dashes of the lines of feature errors by the names of those that have them, "x₁ to x₄"."""
+    names, count = feature_names(points), len(_POINT_COLOURS)
+    found = {}
+    for first, pair in zip(range(0, points, count), _POINT_DASHES, strict=False):
+        last = min(first + count, points) - 1
+        for axis, dashes in enumerate(pair):
+            one, other = names[2 * first + axis], names[2 * last + axis]
+            found[one if one == other else f"{one} to {other}"] = dashes
+    return found
 
 
 def _path_marks() -> list[Line2D]:

@@ -42,6 +42,7 @@ class _Ink(NamedTuple):
 
 
 _POINT_COLOURS = ("@blue", "@vermilion", "@green", "@black", "@purple", "@orange")  # repeated for more points
+_POINT_DASHES = (("solid", "dash"), ("longdash", "dashdot"), ("dot", "longdashdot"))  # of x, y; by colours' turns
 _AXES: tuple[_Ink, ...] = (_Ink("@blue"), _Ink("@vermilion", "dash"), _Ink("@green", "dashdot"))
 _LEGS = (
     _Ink("@black"),
@@ -129,7 +130,11 @@ def _feature_errors(result: Result) -> list[Html]:
     for part, title in zip(shown, titles, strict=True):
         time, errors = result.time[part], result.feature_error[part]
         low, high = _range(errors)
-        inks = [_Ink(colour, dash) for colour in _point_colours(points) for dash in ("solid", "dash")]
+        inks = [
+            _Ink(colour, dash)
+            for number, colour in enumerate(_point_colours(points))
+            for dash in _POINT_DASHES[number // len(_POINT_COLOURS) % len(_POINT_DASHES)]
+        ]
         data = _lines(time, errors, feature_names(points), inks, tolerance=TOLERANCE * (high - low))
         within = low >= -band and high <= band
         note = f"All values are within ±{band:g} px." if within else f"Shaded: ±{band:g} px."
