@@ -21,7 +21,7 @@ from hexservo.draw.panels import (
 )
 from hexservo.draw.style import AXES_INKS, BLACK, FAINT, GREY, LEG_INKS, PAGE, THIN, styled
 from hexservo.run.result import Result, require_result
-from hexservo.run.samples import force_panels, mean_samples
+from hexservo.run.samples import force_panels, mean_samples, moment_unit
 from hexservo.scenario.leg_units import leg_units
 
 if TYPE_CHECKING:
@@ -39,6 +39,8 @@ def control_wrench(result: Result, *, axes: Sequence[Axes] | NDArray[Any]) -> tu
 @styled
 def control_wrench(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | None = None) -> Figure | tuple[Axes, ...]:
     """Draw the wrench in N and mN m, in B, and the six leg forces in N (of cranks torques in N m), figure 5.
+
+    Moments of 1 N m and more are in N m.
 
     Thin lines are the samples; thick lines, if there are enough samples, are their moving means, since the samples
     chatter due to the switching term. The dotted line is the weight in Ḡ that the law feeds forward (1), (15), on each
@@ -65,7 +67,9 @@ def control_wrench(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | None
         For any other number of axes.
     """
     require_result(result)
-    forces, moment = force_panels(result), 1e3 * result.wrench[:, 3:]
+    forces = force_panels(result)
+    unit, per_newton_metre = moment_unit(result)
+    moment = per_newton_metre * result.wrench[:, 3:]
     mean = mean_samples(result.time)
     drawn = [[result.wrench[:, panel.columns], *map(np.array, panel.weights.values())] for panel in forces]
     shown = [*drawn, [moment], [result.leg_forces]]
@@ -84,7 +88,7 @@ def control_wrench(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | None
         fill_panels(panels, result, values, force.names, inks, mean, force.weights)
         describe(panels, "force [N]", force.title)
     fill_panels(rows[2], result, moment, ["mx", "my", "mz"], AXES_INKS, mean)
-    describe(rows[2], "moment [mN m]", "Moment, in B", time=True)
+    describe(rows[2], f"moment [{unit}]", "Moment, in B", time=True)
     limit, units = result.scenario.robot.force_limit, leg_units(result.scenario.robot)
     low, high = legs[0].axes.get_ylim()
     limits = [level for level in (-limit, limit) if low < level < high]

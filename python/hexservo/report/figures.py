@@ -19,6 +19,7 @@ from hexservo.run.samples import (
     force_panels,
     image_views,
     mean_samples,
+    moment_unit,
     moving_mean,
     parts,
     turns_from_home,
@@ -235,6 +236,7 @@ def _wrench(result: Result) -> list[Html]:
         period = 1e3 * count * float(np.median(np.diff(result.time)))
         note = f"Thin lines are samples, thick lines their mean over {period:.3g} ms."
     wrench = result.wrench
+    unit, per_newton_metre = moment_unit(result)
     label, title = leg_units(result.scenario.robot).efforts
     forces, limit = result.leg_forces, result.scenario.robot.force_limit
     low, high = _range(forces)
@@ -256,7 +258,15 @@ def _wrench(result: Result) -> list[Html]:
             )
             for panel in force_panels(result)
         ),
-        _over_time(result, "Moment, in B", "moment [mN m]", 1e3 * wrench[:, 3:], ["mx", "my", "mz"], count, note=note),
+        _over_time(
+            result,
+            "Moment, in B",
+            f"moment [{unit}]",
+            per_newton_metre * wrench[:, 3:],
+            ["mx", "my", "mz"],
+            count,
+            note=note,
+        ),
         _over_time(
             result,
             title,

@@ -12,6 +12,7 @@ from hexservo.run.metrics import metrics
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.pixels import desired_features, image_border
+from hexservo.scenario.wording import shown_unit
 
 if TYPE_CHECKING:
     from hexservo.run.result import Result
@@ -118,6 +119,11 @@ def force_panels(result: Result) -> tuple[ForcePanel, ForcePanel]:
             )
         )
     return panels[0], panels[1]
+
+
+def moment_unit(result: Result) -> tuple[str, float]:
+    """Return the unit of an axis of the moments, mN m or from 1 N m on N m, and how many of it make one N m."""
+    return shown_unit(max(float(np.abs(result.wrench[:, 3:]).max()), 1e-3), "N m")  # smaller ones are no axis in uN m
 
 
 def unit_rotation_vectors(unit: Array) -> Array:
