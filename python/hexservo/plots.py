@@ -5,12 +5,12 @@ from __future__ import annotations
 from hexservo.draw.legs import leg_limits
 from hexservo.draw.paper_figures import paper_figures
 from hexservo.draw.plots import (
-    control_wrench,
     feature_errors,
     feature_paths,
     platform_motion,
     rule_table,
 )
+from hexservo.draw.wrench import control_wrench
 
 __all__ = [
     "control_wrench",

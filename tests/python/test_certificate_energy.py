@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 import hexservo as hs
 from hexservo.findings.certificate.energy import COARSE, EnergyLedger, energy_ledger
+from hexservo.findings.certificate.energy_words import section
 from hexservo.findings.certificate.replay import Plant, replay, replay_of
 from hexservo.findings.certificate.stages import doubled_stages_of
 from hexservo.findings.evidence import Curves, Table
@@ -503,3 +504,20 @@ def test_the_section_reports_the_energy_balance(paper: hs.Scenario) -> None:
     assert works == pytest.approx([ledger.work(term) * 1e6 for term in ledger.works])
     assert curves.lines[0].y[0] == 0.0
     assert section.data["residual"] == ledger.residual
+
+
+# ---- Words ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mass", [1e-3, 0.06, 1e6])
+def test_columns_and_axes_have_the_unit_of_their_largest_value(paper: hs.Scenario, mass: float) -> None:
+    certificate = hs.certify(hs.simulate(paper.updated({"robot.mass": mass, "simulation.duration": 0.05})))
+    assert certificate.energy is not None
+    table, curves = section(certificate.energy).items
+    assert isinstance(table, Table)
+    assert isinstance(curves, Curves)
+    unit = table.columns[1].unit
+    largest = max(abs(float(row[4])) for row in table.rows if row[4] is not None)
+    assert 1.0 <= largest < 1000.0
+    assert joules(certificate.energy.turnover).endswith(f" {unit}")
+    assert unit in curves.y_label

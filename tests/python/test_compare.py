@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 from matplotlib.text import Text
 from typer.testing import CliRunner
 
@@ -401,12 +402,29 @@ def test_names_are_drawn_as_they_are_written(paper: hs.Scenario) -> None:
 @pytest.mark.slow
 def test_no_texts_of_the_figure_overlap() -> None:
     """Neither words of the table, titles and labels of neighbours, nor ticks, with all scenarios that are packaged."""
-    figure = hs.compare(list(hs.scenario_names()), None, {"simulation.duration": 0.02}).figure()
+    assert_texts_can_be_read(hs.compare(list(hs.scenario_names()), None, {"simulation.duration": 0.02}).figure())
+
+
+def test_many_laws_with_long_names_and_the_footnote_have_room(paper: hs.Scenario) -> None:
+    scenario = paper.updated({"simulation.duration": 0.02, "robot.stroke": 1e-5, "metrics.band": 1e-4})
+    long = {f"c{number}_{'of_my_own_' * 6}": lambda seen: np.zeros(6) for number in range(4)}
+    compared = hs.compare([scenario], ["hybrid", "composite", "kelly", "pbvs", "resolved_rate"], controllers=long)
+    figure = compared.figure()
+    assert_texts_can_be_read(figure)
+    (footnote,) = figure.texts
+    assert "!: a leg exceeded a limit, see the table." in footnote.get_text()
+
+
+def assert_texts_can_be_read(figure: Figure) -> None:
+    """All are on the page, and none lies over another."""
     boxes = []
     canvas = FigureCanvasAgg(figure)  # one renderer for all texts, not one for each: the figure is large
     with our_style():
         canvas.draw()  # type: ignore[no-untyped-call]
         renderer = canvas.get_renderer()  # type: ignore[no-untyped-call]
+        (legend,) = figure.legends
+        of_page = [*figure.texts, *legend.get_texts(), legend.get_title()]
+        boxes += [(text.get_text(), text.get_window_extent(renderer)) for text in of_page]
         for axes in figure.axes:
             texts = [*axes.texts, axes.xaxis.label, axes.yaxis.label, axes._left_title]  # type: ignore[attr-defined]
             for axis in (axes.xaxis, axes.yaxis):
@@ -414,6 +432,10 @@ def test_no_texts_of_the_figure_overlap() -> None:
                 ticks = axis.get_major_ticks()
                 texts += [tick.label1 for tick in ticks if low <= tick.get_loc() <= high]  # others are not drawn
             slanted = [text for text in texts if text.get_rotation() % 90 != 0]
+            for text in slanted:
+                box = text.get_window_extent(renderer)
+                assert box.x0 >= 0, text
+                assert not any(box.overlaps(other.get_window_extent(renderer)) for other in of_page), text
             for first, second in pairwise(slanted):  # their boxes overlap, lines of text at one angle need not
                 assert first.get_rotation() == second.get_rotation()
                 apart = second.get_transform().transform(second.get_position())

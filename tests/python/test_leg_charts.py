@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 import hexservo as hs
 import rotary_machine
 from hexservo import plots
+from hexservo.draw.plots import paper_images
 from hexservo.report.figures import figures
 from hexservo.report.scene import scene
 from hexservo.report.still import still
@@ -90,6 +91,23 @@ def test_the_figure_has_a_panel_for_each_limit(result: hs.Result, tmp_path: Path
     assert plots.leg_limits(result, axes=four) == tuple(four)
     written = {path.name for path in hs.plots.paper_figures(result, tmp_path)}
     assert {"legs.svg", "legs.png"} <= written
+
+
+def test_a_stroke_that_is_exceeded_or_ends_a_run_is_drawn(paper: hs.Scenario) -> None:
+    quick = paper.updated({"simulation.duration": 0.05, "robot.force_limit": 10.0})
+    short = hs.simulate(quick.updated({"robot.stroke": 1e-3}))
+    assert "legs.png" in paper_images(short)
+    assert [text.get_text() for text in plots.leg_limits(short).texts] == ["a leg exceeded its stroke"]
+    (axes,) = plots.leg_limits(short, axes=[Figure().subplots()])
+    assert "a leg exceeded its stroke" in [text.get_text() for text in axes.texts]
+    weak = hs.simulate(quick.updated({"robot.stroke": 1e-3, "robot.force_limit": 0.05}))
+    assert [text.get_text() for text in plots.leg_limits(weak).texts] == ["2 limits of the legs were exceeded"]
+    fine = hs.simulate(quick)
+    assert "legs.png" not in paper_images(fine)
+    assert not plots.leg_limits(fine).texts
+    ended = hs.simulate(hs.load_scenario("fails-leg-limits"))
+    assert ended.outcome == "leg_limit"
+    assert "legs.png" in paper_images(ended)
 
 
 @pytest.mark.parametrize("share", [0.5, 2.0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 import subprocess
 import sys
 import threading
@@ -26,6 +27,8 @@ from hexservo.draw import plots
 from hexservo.draw.panels import _spread
 from hexservo.draw.paper_figures import paper_figures
 from hexservo.draw.style import our_style
+from hexservo.draw.wrench import control_wrench
+from hexservo.report.figures import figures
 from hexservo.run.files import MARKER
 from hexservo.run.publish import OutputError
 from hexservo.run.samples import rotation_vectors
@@ -33,7 +36,7 @@ from hexservo.run.samples import rotation_vectors
 Array = NDArray[np.float64]
 
 NAMES = ["fig2a_rule_table", "fig2b_feature_errors", "fig3_feature_paths", "fig4_platform_motion", "fig5_wrench"]
-TIME_FIGURES = [plots.feature_errors, plots.platform_motion, plots.control_wrench]
+TIME_FIGURES = [plots.feature_errors, plots.platform_motion, control_wrench]
 
 
 def rule_table(result: hs.Result) -> Figure:
@@ -233,19 +236,54 @@ def test_platform_motion_shows_the_run(result: hs.Result) -> None:
 
 
 def test_control_wrench_shows_the_run(result: hs.Result) -> None:
-    figure = plots.control_wrench(result)
+    figure = control_wrench(result)
     assert_shows(figure, ["fx", "fy", "fz"], result.time, result.wrench[:, :3])
-    assert_shows(figure, ["mx", "my", "mz"], result.time, 1e3 * result.wrench[:, 3:])
+    unit, scale = ("N m", 1.0) if np.abs(result.wrench[:, 3:]).max() >= 1.0 else ("mN m", 1e3)
+    assert_shows(figure, ["mx", "my", "mz"], result.time, scale * result.wrench[:, 3:])
     assert_shows(figure, [f"leg {leg}" for leg in range(1, 7)], result.time, result.leg_forces)
-    assert labels(figure) == {"time [s]", "force [N]", "moment [mN m]", "leg force [N]"}
+    assert labels(figure) == {"time [s]", "force [N]", f"moment [{unit}]", "leg force [N]"}
     weights = [drawn for axes in figure.axes for drawn in axes.lines if drawn.get_gid() == "weight"]
     assert weights
     for drawn in weights:
         np.testing.assert_allclose(np.asarray(drawn.get_ydata()), -9.8 * result.scenario.robot.mass, rtol=1e-15)
 
 
+@pytest.mark.parametrize("gravity", [[0, 0, 9.8], [0, 0, -9.8], [9.8, 0, 0], [3.0, -1e-17, 9.3], [0, 0, 0]])
+def test_the_weight_is_a_line_along_each_axis_that_has_a_part_of_it(gravity: list[float]) -> None:
+    """Where gravity is not along z no axis is called vertical (a machine on a wall, or tilted)."""
+    changes = {"simulation.duration": 0.3, "robot.gravity": gravity, "robot.force_limit": 0.2}
+    result = run(**changes)
+    figure = control_wrench(result)
+    assert_texts_can_be_read(figure)
+    titles = [axes.get_title(loc="left") for axes in figure.axes]
+    displacement = plots.platform_motion(result).axes[0].get_title(loc="left")
+    upright = not any(abs(part) > 1 for part in gravity[:2]) and gravity[2] != 0
+    if upright:
+        points = f"(z points {'down' if gravity[2] > 0 else 'up'})"
+        assert titles[:2] == ["Horizontal force, in B", f"Vertical force, in B {points}"]
+        assert displacement == f"Position relative to home, in B {points}"
+    else:
+        assert titles[:2] == ["Force along x and y, in B", "Force along z, in B"]
+        assert displacement == "Position relative to home, in B"
+    mass = result.scenario.robot.mass
+    for axes, axis_parts in zip(figure.axes, (gravity[:2], gravity[2:]), strict=False):
+        levels = [drawn for drawn in axes.lines if drawn.get_gid() == "weight"]
+        drawn_at = [float(np.asarray(level.get_ydata())[0]) for level in levels]
+        assert drawn_at == pytest.approx([-mass * part for part in axis_parts if abs(part) > 1])
+    (limit,) = [text for text in figure.legends[0].get_texts() if "limit" in text.get_text()]
+    assert limit.get_text() == "limit: 0.2 N"
+    assert "limit" in [text.get_text() for axes in figure.axes for text in axes.texts]
+
+
+def test_machines_that_take_positions_have_no_wrench_of_a_law() -> None:
+    result = hs.simulate(hs.load_scenario("reachy-mini").updated({"simulation.duration": 0.1}))
+    figure = control_wrench(result)
+    assert_texts_can_be_read(figure)
+    assert [text.get_text() for text in figure.texts] == ["What the motion takes; the law commands positions"]
+
+
 def test_control_wrench_says_what_it_averages_over(paper: hs.Result) -> None:
-    figure = plots.control_wrench(paper)
+    figure = control_wrench(paper)
     (legend,) = figure.legends
     assert [text.get_text() for text in legend.get_texts()] == ["samples", "mean over 7 ms"]
     for name, column in (("fy", paper.wrench[:, 1]), ("leg 4", paper.leg_forces[:, 3])):
@@ -256,8 +294,9 @@ def test_control_wrench_says_what_it_averages_over(paper: hs.Result) -> None:
 
 
 def test_short_runs_are_not_averaged() -> None:
-    figure = plots.control_wrench(run(**{"controller.jacobian": "printed"}))
-    assert not figure.legends
+    figure = control_wrench(run(**{"controller.jacobian": "printed"}))
+    shown = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+    assert shown == ["limit: 1 N"]
     assert not [drawn for axes in figure.axes for drawn in axes.lines if str(drawn.get_gid()).startswith("mean")]
 
 
@@ -267,7 +306,7 @@ def test_a_long_run_is_thinned_without_loss_of_peaks() -> None:
     wrench[23456, 0] = 0.9  # one sample among forty thousand
     wrench[34567, 4] = -0.7
     result = replace(result, wrench=wrench)
-    figure = plots.control_wrench(result)
+    figure = control_wrench(result)
     assert line(figure, "fx")[:, 1].max() == 0.9
     assert line(figure, "my")[:, 1].min() == -700
     assert_shows(figure, ["fx", "fy", "fz"], result.time, wrench[:, :3])
@@ -301,17 +340,18 @@ def test_figures_are_drawn_into_axes_of_the_caller(result: hs.Result) -> None:
     assert plots.feature_paths(result, ax=paths) is paths
     assert plots.platform_motion(result, axes=[upper, lower]) == (upper, lower)
     four = np.array([[first, second], [third, fourth]])
-    assert plots.control_wrench(result, axes=four) == (first, second, third, fourth)
+    assert control_wrench(result, axes=four) == (first, second, third, fourth)
     render(figure)
     assert len(figure.axes) == 8
     assert_shows(figure, ["x₁", "y₁", "x₂", "y₂", "x₃", "y₃", "x₄", "y₄"], result.time, result.feature_error)
     assert_shows(figure, ["x", "y", "z"], result.time, 1e3 * (result.position - home))
     assert_shows(figure, ["fx", "fy", "fz"], result.time, result.wrench[:, :3])
-    assert_shows(figure, ["mx", "my", "mz"], result.time, 1e3 * result.wrench[:, 3:])
+    unit, scale = ("N m", 1.0) if np.abs(result.wrench[:, 3:]).max() >= 1.0 else ("mN m", 1e3)
+    assert_shows(figure, ["mx", "my", "mz"], result.time, scale * result.wrench[:, 3:])
     assert_shows(figure, [f"leg {leg}" for leg in range(1, 7)], result.time, result.leg_forces)
     assert [axes.get_ylabel() for axes in figure.axes] == [
         "feature error [px]", "image y [px]", "displacement [mm]", "rotation vector [mrad]",
-        "force [N]", "force [N]", "moment [mN m]", "leg force [N]",
+        "force [N]", "force [N]", f"moment [{unit}]", "leg force [N]",
     ]  # fmt: skip
     for axes in figure.axes:
         legend = axes.get_legend()
@@ -339,7 +379,7 @@ def test_the_style_of_the_caller_holds_in_their_axes(paper: hs.Result) -> None:
     assert ax.title.get_fontsize() == 21
 
 
-@pytest.mark.parametrize(("draw", "count"), [(plots.platform_motion, 2), (plots.control_wrench, 4)])
+@pytest.mark.parametrize(("draw", "count"), [(plots.platform_motion, 2), (control_wrench, 4)])
 def test_another_number_of_axes_is_refused(draw: Any, count: int, paper: hs.Result) -> None:
     with pytest.raises(ValueError, match=f"axes: expected {count} axes, got 3"):
         draw(paper, axes=Figure().subplots(3, 1))
@@ -405,7 +445,12 @@ def texts(figure: Figure) -> list[Text]:
 
 @pytest.mark.parametrize("draw", ALL_FIGURES)
 def test_text_is_whole_and_does_not_overlap(draw: Callable[[hs.Result], Figure], result: hs.Result) -> None:
-    figure = draw(result)
+    # Numbers of paths that end close together may touch.
+    assert_texts_can_be_read(draw(result), may_touch=draw is plots.feature_paths and result.outcome == "diverged")
+
+
+def assert_texts_can_be_read(figure: Figure, *, may_touch: bool = False) -> None:
+    """All texts, those of the figure and its legends among them, are on the page and none lies over another."""
     render(figure)
     boxes = [(text.get_text(), text.get_window_extent()) for text in texts(figure)]
     assert len(boxes) > 10
@@ -413,8 +458,8 @@ def test_text_is_whole_and_does_not_overlap(draw: Callable[[hs.Result], Figure],
     for text, box in boxes:
         assert page.x0 <= box.x0 <= box.x1 <= page.x1, text
         assert page.y0 <= box.y0 <= box.y1 <= page.y1, text
-    if draw is plots.feature_paths and result.outcome == "diverged":
-        return  # numbers of paths that end close together may touch
+    if may_touch:
+        return
     for (one, a), (other, b) in itertools.combinations(boxes, 2):
         across, up = min(a.x1, b.x1) - max(a.x0, b.x0), min(a.y1, b.y1) - max(a.y0, b.y0)
         # A box has the height of a line, 20 dots and more; letters leave a fifth of it free.
@@ -432,7 +477,7 @@ def test_text_is_large_enough_for_print(draw: Callable[[hs.Result], Figure], pap
     ("draw", "axes_names"),
     [
         (plots.platform_motion, [["x", "y", "z"], ["θx", "θy", "θz"]]),
-        (plots.control_wrench, [["mx", "my", "mz"]]),
+        (control_wrench, [["mx", "my", "mz"]]),
     ],
 )
 def test_lines_differ_in_colour_and_dashes(draw: Callable[[hs.Result], Figure], axes_names: list[list[str]]) -> None:
@@ -443,6 +488,25 @@ def test_lines_differ_in_colour_and_dashes(draw: Callable[[hs.Result], Figure], 
         }
         assert len({str(curve.get_color()) for curve in drawn.values()}) == len(names)
         assert len({str(vars(curve)["_unscaled_dash_pattern"]) for curve in drawn.values()}) == len(names)
+
+
+def test_lines_of_many_points_differ_and_the_worst_are_named() -> None:
+    points = [[0.5 + 0.16 * (i - 1.5), 0.16 * (j - 1.5), -4.728] for i in range(4) for j in range(4)]
+    changes = {"target.tag": None, "target.desired_features": None, "target.points": points}
+    pose = {"target.desired_pose": [0.08, 0.03, 0.04, 0.02, -0.02, 0.08], "simulation.duration": 0.1}
+    result = hs.simulate(hs.load_scenario("moog-6dof2000e", {**changes, **pose}))
+    figure = plots.feature_errors(result)
+    render(figure)
+    (axes,) = figure.axes
+    curves = [drawn for drawn in axes.lines if str(drawn.get_gid())[0] in "xy"]
+    looks = {(str(drawn.get_color()), str(vars(drawn)["_unscaled_dash_pattern"])) for drawn in curves}
+    assert len(looks) == len(curves) == 32
+    worst = np.argsort(-np.abs(result.feature_error[-1]))[:2]
+    assert {text.get_text() for text in axes.texts} == {str(curves[line].get_gid()) for line in worst}
+    assert_texts_can_be_read(figure)
+    (chart,) = dict(figures(result))["Feature errors"]
+    drawn = re.findall(r'"line": ?({[^}]*"dash"[^}]*})', str(chart))
+    assert len(set(drawn)) == 32
 
 
 # ---- The rotation vector --------------------------------------------------------------------------------------------
@@ -524,10 +588,11 @@ def test_spread_labels_stay_where_there_is_room_and_share_the_way_where_there_is
 
 
 @pytest.mark.parametrize("name", ["paper", "slow", "diverges", "diverges at once", "one step"])
-def test_paper_figures_writes_ten_files(name: str, tmp_path: Path) -> None:
+def test_paper_figures_writes_each_figure_twice(name: str, tmp_path: Path) -> None:
     result = run(**RUNS[name])
     paths = paper_figures(result, tmp_path / "new" / "out")
-    assert paths == [tmp_path / "new" / "out" / f"{name}.{kind}" for name in NAMES for kind in ("svg", "png")]
+    names = [*NAMES, "legs"] if name == "diverges" else NAMES  # that run takes legs beyond their stroke
+    assert paths == [tmp_path / "new" / "out" / f"{name}.{kind}" for name in names for kind in ("svg", "png")]
     assert sorted([*paths, tmp_path / "new" / "out" / MARKER]) == sorted((tmp_path / "new" / "out").iterdir())
     for path in paths:
         assert path.stat().st_size < 1_000_000

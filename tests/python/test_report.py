@@ -32,6 +32,7 @@ from hexservo.report import check_report
 from hexservo.report.charts import curves, needed
 from hexservo.report.documentation import is_page, page_html
 from hexservo.report.evidence_html import page_text
+from hexservo.report.figures import figures
 from hexservo.report.html import TITLE, Html, element, json_script
 from hexservo.report.page import page
 from hexservo.report.scene import scene
@@ -243,6 +244,20 @@ def test_charts_show_the_samples_of_the_run(text: str, result: hs.Result) -> Non
     assert table["text"][0] == ["NB", "NB", "NB", "NB", "NM", "NS", "ZE"]
     ends = charts["Paths of the features"]["data"][5]
     np.testing.assert_allclose(numbers(ends["x"]), result.features[-1, ::2], rtol=1e-6)
+
+
+def test_the_chart_of_forces_says_what_holds_the_weight() -> None:
+    """The law's feed-forward, along the axes of gravity, or of machines that take positions what their motion takes."""
+    expected = {
+        "paper": ("Wrench and leg forces", "Dotted: -0.18 N along x, the weight that the law feeds forward."),
+        "reachy-mini": ("Wrench and leg forces that the motion takes", "the estimated weight, which the law does not"),
+    }
+    for name, (title, words) in expected.items():
+        scenario = hs.load_scenario(name).updated({"simulation.duration": 0.1, "robot.gravity": [3.0, 0.0, 9.3]})
+        drawn = dict(figures(hs.simulate(scenario)))
+        assert words in str(drawn[title][0])
+        assert "Force along x and y, in B" in str(drawn[title][0])
+        assert "z points" not in "".join(map(str, drawn["Motion of the platform"]))
 
 
 @pytest.mark.parametrize("seed", range(5))

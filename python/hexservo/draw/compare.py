@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+import matplotlib
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.figure import Figure
@@ -29,6 +31,8 @@ from hexservo.draw.style import (
     as_written,
     short_number,
     styled,
+    text_width,
+    wrapped,
 )
 from hexservo.run.comparison import Comparison, ComparisonRow
 
@@ -48,6 +52,11 @@ _MARKERS = ("o", "s", "^", "D", "v", "P", "X")  # one more than inks: pairs repe
 _ACROSS = 4  # panels side by side
 _POINTS = 300  # of one line: more than such a panel resolves
 _FLOOR = 1e-3  # smallest error shown [px]
+_SMALL = 7.0  # size of the names of laws and of the footnote [pt]
+_ROW = 0.15  # height of a line of that size [in]
+_SLANT = 20.0  # of the laws' names below the table [deg]
+_MOST_BELOW, _MOST_IN_LEGEND = 18, 60  # characters of a law's name, below the table and in the legend
+_BETWEEN = 1.2  # columns of the legend, in its font size
 _PALETTE = "cividis_r"  # light is fast; distinguishable with every kind of colour vision
 _WORDS = {
     "not settled": "never",
@@ -67,17 +76,25 @@ def comparison_figure(comparison: Comparison) -> Figure:
     across = min(len(names), _ACROSS)
     panel, pitch, line = 1.0, 1.4, 0.2  # heights of a panel, of a panel with its margins, of a row below [in]
     table = line * len(names)
-    height = 0.62 + bands * pitch + 0.3 + table + 0.85
+    left, gap = 0.55, 0.2
+    in_legend = [as_written(_shortened(law, _MOST_IN_LEGEND)) for law in comparison.laws]
+    columns = _legend_columns(in_legend, PAGE - left)
+    top = 0.62 + _ROW * (-(-len(comparison.laws) // columns) - 1)  # of the legend and the title of a panel
+    footnote = wrapped(_footnote(comparison), _SMALL, PAGE - 0.2)
+    below = [as_written(_shortened(law, _MOST_BELOW)) for law in comparison.laws]  # the table, slanted
+    reach = [text_width(name, _SMALL) for name in below]
+    drop = max(0.42, 0.18 + math.sin(math.radians(_SLANT)) * max(reach))
+    bottom = 0.1 + _ROW * len(footnote.splitlines()) + drop
+    height = top + bands * pitch + 0.3 + table + bottom + 0.05
     figure = Figure(figsize=(PAGE, height))
     looks = {law: (_INKS[i % len(_INKS)], _MARKERS[i % len(_MARKERS)]) for i, law in enumerate(comparison.laws)}
 
-    left, gap = 0.55, 0.2
     width = min(2.3, (PAGE - left - 0.1 - (across - 1) * gap) / across)
     low, high = _error_range(comparison)
     for number, name in enumerate(names):
         band, place = divmod(number, _ACROSS)
-        bottom = height - 0.62 - panel - band * pitch
-        axes = axes_at(figure, left + place * (width + gap), bottom, width, panel)
+        base = height - top - panel - band * pitch
+        axes = axes_at(figure, left + place * (width + gap), base, width, panel)
         rows = [comparison.row(law, name) for law in comparison.laws]
         _draw_errors(axes, rows, looks)
         axes.set_ylim(low, high)
@@ -90,28 +107,33 @@ def comparison_figure(comparison: Comparison) -> Figure:
         if number + across >= len(names):
             draw_label(axes, "x", "time [s]")
     marks = [
-        Line2D([], [], color=ink.colour, linestyle=ink.dashes, marker=marker, markersize=3.5, label=as_written(law))
-        for law, (ink, marker) in looks.items()
+        Line2D([], [], color=ink.colour, linestyle=ink.dashes, marker=marker, markersize=3.5, label=name)
+        for name, (ink, marker) in zip(in_legend, looks.values(), strict=True)
     ]
     figure.legend(
         handles=marks,
         loc="upper left",
         bbox_to_anchor=((left - 0.08) / PAGE, 1 - 0.03 / height),
-        ncols=len(marks),
+        ncols=columns,
         borderpad=0,
         borderaxespad=0,
-        columnspacing=1.2,
+        columnspacing=_BETWEEN,
         title="Largest feature error over time",
         title_fontproperties={"size": 8},
         alignment="left",
     )
 
-    labels = min(1.55, 0.15 + 0.062 * max(map(len, names)))
-    cells = min(2.9, max(1.2, 0.62 * len(comparison.laws)))
+    count = len(comparison.laws)
+    cells = min(max(1.2, 0.62 * count), max(2.9, 0.42 * count), 3.8)
+    half, lean = cells / count / 2, math.cos(math.radians(_SLANT))
+    labels = max(
+        min(1.55, 0.15 + 0.062 * max(map(len, names))),
+        *(0.1 + lean * width - (2 * number + 1) * half for number, width in enumerate(reach)),
+    )
     room = (PAGE - labels - cells - 0.1 - 2 * 0.2) / 2
-    bottom = 0.8
     heat = axes_at(figure, labels, bottom, cells, table)
     _draw_settling(heat, comparison)
+    heat.set_xticks(range(len(below)), below, rotation=_SLANT, ha="right", rotation_mode="anchor")
     heat.set_yticks(range(len(names)), [_shortened(name, 24) for name in names])
     heat.tick_params(axis="both", length=0)
     for number, (metric, title, unit) in enumerate((("final_error", "Residual", "px"), ("effort", "Effort", "N² s"))):
@@ -119,17 +141,27 @@ def comparison_figure(comparison: Comparison) -> Figure:
         _draw_dots(axes, comparison, metric, looks)
         axes.set_title(title, loc="left")
         draw_label(axes, "x", f"{title.lower()} [{unit}]")
-    dotted = " and ".join(f"{band:g}" for band in _bands(comparison))
-    figure.text(
-        0.1 / PAGE,
-        0.05 / height,
-        f"Dotted: {dotted} px. Cross: the run ended early. Hollow: not settled. "
-        f"!: a leg exceeded this limit.{_floor_words(comparison)}",
-        fontsize=7,
-        color=GREY,
-        va="bottom",
-    )
+    figure.text(0.1 / PAGE, 0.05 / height, footnote, fontsize=_SMALL, color=GREY, va="bottom")
     return figure
+
+
+def _legend_columns(names: Sequence[str], room: float) -> int:
+    """Return the most columns with which a legend of names is no wider than a room [in]."""
+    em = _SMALL / 72
+    beside = em * (matplotlib.rcParams["legend.handlelength"] + matplotlib.rcParams["legend.handletextpad"])
+    widths = [beside + text_width(name, _SMALL) for name in names]
+    for columns in range(len(names), 1, -1):
+        filled = [max(column) for column in np.array_split(widths, columns)]  # as matplotlib fills them
+        if sum(filled) + em * _BETWEEN * (columns - 1) <= room:
+            return columns
+    return 1
+
+
+def _footnote(comparison: Comparison) -> str:
+    """Explain the marks of the page."""
+    dotted = " and ".join(f"{band:g}" for band in _bands(comparison))
+    exceeded = " !: a leg exceeded a limit, see the table." if any(row.passed_limits for row in comparison.rows) else ""
+    return f"Dotted: {dotted} px. Cross: the run ended early. Hollow: not settled.{exceeded}{_floor_words(comparison)}"
 
 
 def _floor_words(comparison: Comparison) -> str:
@@ -227,8 +259,6 @@ def _draw_settling(axes: Axes, comparison: Comparison) -> None:
     axes.grid(visible=False)
     axes.spines[:].set_visible(False)
     axes.xaxis.tick_bottom()
-    laws = [as_written(law) for law in comparison.laws]
-    axes.set_xticks(range(len(laws)), laws, rotation=20, ha="right", rotation_mode="anchor")
     axes.set_title("Settling time [s]", loc="left")
 
 

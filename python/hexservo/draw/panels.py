@@ -14,6 +14,8 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
 from hexservo.draw.style import BLACK, FAINT, GREY, THIN, VERMILION, Ink, short_number
+from hexservo.run.leg_limits import exceeded_limits
+from hexservo.run.metrics import metrics
 from hexservo.run.samples import extreme_samples as _extreme_samples
 from hexservo.run.samples import moving_mean as _moving_mean
 from hexservo.run.samples import parts as _parts
@@ -264,11 +266,16 @@ def draw_legend(figure: Figure, handles: Mapping[str, Line2D]) -> None:
 
 
 def note_outcome(place: Figure | Axes, result: Result) -> None:
-    """Write the outcome of a run that did not complete into the corner of a figure or of the caller's axes."""
+    """Write into the corner of a figure or of the caller's axes how a run ended early, or what limit it exceeded."""
+    exceeded = exceeded_limits(result.scenario, metrics(result))
     if result.outcome != "completed":
         text = f"{result.outcome.replace('_', ' ')} after {result.end_time:.4g} s"
-        looks: dict[str, Any] = {"ha": "right", "va": "bottom", "fontweight": "bold", "color": VERMILION}
-        if isinstance(place, Figure):
-            place.text(0.995, 0.012, text, fontsize=7, **looks)
-        else:
-            place.text(0.99, 0.02, text, transform=place.transAxes, **looks)
+    elif exceeded:
+        text = exceeded[0].exceeded if len(exceeded) == 1 else f"{len(exceeded)} limits of the legs were exceeded"
+    else:
+        return
+    looks: dict[str, Any] = {"ha": "right", "va": "bottom", "fontweight": "bold", "color": VERMILION}
+    if isinstance(place, Figure):
+        place.text(0.995, 0.012, text, fontsize=7, **looks)
+    else:
+        place.text(0.99, 0.02, text, transform=place.transAxes, **looks)

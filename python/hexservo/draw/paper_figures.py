@@ -13,7 +13,8 @@ from hexservo.run.result import Result, require_result
 def paper_figures(result: Result, folder: str | os.PathLike[str], *, force: bool = False) -> list[Path]:
     """Write figures 2(a), 2(b), 3, 4 and 5 as SVG and PNG (200 dpi) into a folder, which is created if necessary.
 
-    Of a robot with speed or joint limits `leg_limits` is written too. The same run gives the same bytes. Either all
+    `leg_limits` is written too for a robot with speed or joint limits, and for a run that exceeded the stroke of a leg
+    or ended there. The same run gives the same bytes. Either all
     files are written completely or none is.
 
     Parameters

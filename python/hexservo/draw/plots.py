@@ -39,35 +39,31 @@ from hexservo.draw.panels import (
     whole_run,
 )
 from hexservo.draw.style import (
+    AXES_INKS,
     BLACK,
     BLUE,
     COLUMN,
     DASH_DOT,
     DASHED,
-    FAINT,
     GREEN,
     GREY,
     HALO,
-    LEG_INKS,
     ORANGE,
     PAGE,
     PURPLE,
-    THIN,
     VERMILION,
     Ink,
     image_bytes,
     styled,
 )
-from hexservo.run.leg_limits import limits_of_motion
+from hexservo.draw.wrench import control_wrench
+from hexservo.run.leg_limits import exceeded_limits, limits_of_motion
 from hexservo.run.metrics import metrics
 from hexservo.run.result import Result, require_result
-from hexservo.run.samples import ImageView, feature_names, image_views
+from hexservo.run.samples import ImageView, feature_names, image_views, vertical
 from hexservo.run.samples import extreme_samples as _extreme_samples
-from hexservo.run.samples import mean_samples as _mean_samples
 from hexservo.run.samples import parts as _parts
 from hexservo.run.samples import turns_from_home as _turns_from_home
-from hexservo.run.samples import vertical as _vertical
-from hexservo.scenario.leg_units import leg_units
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.pixels import desired_features
 from hexservo.scenario.rules import TERMS, term_text
@@ -76,9 +72,10 @@ from hexservo.scenario.scenario import Scenario, require_scenario
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_AXES_INKS = (Ink(BLUE), Ink(VERMILION, DASHED), Ink(GREEN, DASH_DOT))
 _POINT_COLOURS = (BLUE, VERMILION, GREEN, BLACK, PURPLE, ORANGE)
+_POINT_DASHES = (("-", DASHED), ((0, (9, 1.2)), DASH_DOT), ((0, (1, 1)), (0, (9, 1.2, 1.2, 1.2))))  # of x, y; by six
 _MOST_LABELS = 14  # of lines beside the feature errors: as many as stand apart
+_WORST = 2  # lines that are labelled where there are more: those with the largest errors at the end
 
 _START: dict[str, Any] = {"marker": "o", "markersize": 5, "markerfacecolor": "white", "markeredgewidth": 1.1}
 _END: dict[str, Any] = {"marker": "o", "markersize": 3.2, "markeredgewidth": 0}
@@ -187,10 +184,7 @@ def feature_errors(result: Result, *, ax: Axes | None = None) -> Figure | Axes:
     require_result(result)
     band = result.scenario.metrics.band
     points = result.scenario.target.count
-    names, inks = (
-        feature_names(points),
-        [Ink(_point_colour(n), style) for n in range(points) for style in ("-", DASHED)],
-    )
+    names, inks = feature_names(points), _inks_of_points(points)
     if ax is not None:
         (panel,) = whole_run(ax, result, [result.feature_error])
         draw_band(ax, band)
@@ -198,7 +192,8 @@ def feature_errors(result: Result, *, ax: Axes | None = None) -> Figure | Axes:
         describe([panel], "feature error [px]", f"Feature errors (shaded: ±{band:g} px)", time=True)
         note_outcome(ax, result)
         return ax
-    figure = Figure(figsize=(PAGE, 2.48))
+    families = _families(points)
+    figure = Figure(figsize=(PAGE, 2.48 if len(families) == 2 else 2.68))
     parts = _parts(result)
     if len(parts) == 1:
         boxes = [(0.68, 6.11)]
@@ -214,10 +209,10 @@ def feature_errors(result: Result, *, ax: Axes | None = None) -> Figure | Axes:
         draw_lines(axes, result.time[part], errors, names, inks)
         set_limits(axes, result.time[part], errors)
         describe([Panel(axes, part, fixed=True)], "feature error [px]", title, time=True)
-    if len(names) <= _MOST_LABELS:
-        label_ends(axes, dict(zip(names, errors[-1], strict=True)), inks)
-    solid, dashed = (Line2D([], [], color=GREY, linestyle=ink.dashes) for ink in inks[:2])
-    draw_legend(figure, {f"{names[0]} to {names[-2]}": solid, f"{names[1]} to {names[-1]}": dashed})
+    ends = np.abs(errors[-1])
+    labelled = range(len(names)) if len(names) <= _MOST_LABELS else np.argsort(-ends, kind="stable")[:_WORST]
+    label_ends(axes, {names[line]: float(errors[-1, line]) for line in labelled}, [inks[line] for line in labelled])
+    draw_legend(figure, {name: Line2D([], [], color=GREY, linestyle=dashes) for name, dashes in families.items()})
     note_outcome(figure, result)
     return figure
 
@@ -328,79 +323,11 @@ def platform_motion(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | Non
     else:
         upper = whole_run(given[0], result, [displacement])
         lower = whole_run(given[1], result, [rotation])
-    fill_panels(upper, result, displacement, ["x", "y", "z"], _AXES_INKS)
-    fill_panels(lower, result, rotation, ["θx", "θy", "θz"], _AXES_INKS)
-    describe(upper, "displacement [mm]", f"Position relative to home, in B ({_vertical(result)})")
+    fill_panels(upper, result, displacement, ["x", "y", "z"], AXES_INKS)
+    fill_panels(lower, result, rotation, ["θx", "θy", "θz"], AXES_INKS)
+    describe(upper, "displacement [mm]", f"Position relative to home, in B{vertical(result)}")
     describe(lower, "rotation vector [mrad]", "Orientation relative to home: axis times angle, in B", time=True)
     note_outcome(figure if given is None else given[1], result)
-    return figure if given is None else given
-
-
-@overload
-def control_wrench(result: Result) -> Figure: ...
-
-
-@overload
-def control_wrench(result: Result, *, axes: Sequence[Axes] | NDArray[Any]) -> tuple[Axes, ...]: ...
-
-
-@styled
-def control_wrench(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | None = None) -> Figure | tuple[Axes, ...]:
-    """Draw the wrench in N and mN m, in B, and the six leg forces in N (of cranks torques in N m), figure 5.
-
-    Thin lines are the samples; thick lines, if there are enough samples, are their moving means, since the samples
-    chatter due to the switching term. The dotted line is the weight in Ḡ that the law feeds forward (1), (15); at the
-    legs it is their force limit, where it is within what they do.
-
-    Parameters
-    ----------
-    axes
-        Four axes to draw the whole run into: horizontal force, vertical force, moment, leg forces. None: a new figure.
-
-    Returns
-    -------
-    Figure or tuple of Axes
-        The new figure, or `axes`.
-
-    Raises
-    ------
-    TypeError
-        For anything but a `Result`.
-    ValueError
-        For any other number of axes.
-    """
-    require_result(result)
-    weight = float(core_parameters(result.scenario).body.gravity_wrench[2])
-    horizontal, vertical, moment = result.wrench[:, :2], result.wrench[:, 2:3], 1e3 * result.wrench[:, 3:]
-    mean = _mean_samples(result.time)
-    shown = [[horizontal], [vertical, np.array([weight])], [moment], [result.leg_forces]]
-    figure = Figure(figsize=(PAGE, 4.68))
-    given = None if axes is None else given_axes(axes, 4)
-    if given is None:
-        boxes = [*((0.68, bottom, 2.4, 1.1) for bottom in (3.16, 1.82, 0.48)), (4.16, 0.48, 2.54, 3.78)]
-        *rows, legs = (place_panels(figure, result, box, values) for box, values in zip(boxes, shown, strict=True))
-    else:
-        *rows, legs = (whole_run(place, result, values) for place, values in zip(given, shown, strict=True))
-    for panel in rows[1]:
-        panel.axes.axhline(weight, color=BLACK, linewidth=1, linestyle=":", gid="weight")
-    limit = result.scenario.robot.force_limit
-    for panel in legs:
-        low, high = panel.axes.get_ylim()
-        for level in (sign * limit for sign in (-1.0, 1.0) if low < sign * limit < high):
-            panel.axes.axhline(level, color=BLACK, linewidth=1, linestyle=":", gid="limit force")
-    fill_panels(rows[0], result, horizontal, ["fx", "fy"], _AXES_INKS[:2], mean)
-    fill_panels(rows[1], result, vertical, ["fz"], [Ink(GREEN)], mean, {"−mg": weight})
-    fill_panels(rows[2], result, moment, ["mx", "my", "mz"], _AXES_INKS, mean)
-    fill_panels(legs, result, result.leg_forces, [f"leg {leg}" for leg in range(1, 7)], LEG_INKS, mean)
-    describe(rows[0], "force [N]", "Horizontal force, in B")
-    describe(rows[1], "force [N]", f"Vertical force, in B ({_vertical(result)})")
-    describe(rows[2], "moment [mN m]", "Moment, in B", time=True)
-    describe(legs, *leg_units(result.scenario.robot).efforts, time=True)
-    if mean > 1 and given is None:
-        period = 1e3 * mean * float(np.median(np.diff(result.time)))
-        samples = Line2D([], [], color=GREY, linewidth=THIN, alpha=FAINT)
-        draw_legend(figure, {"samples": samples, f"mean over {period:.3g} ms": Line2D([], [], color=GREY)})
-    note_outcome(figure if given is None else given[-1], result)
     return figure if given is None else given
 
 
@@ -414,7 +341,7 @@ def paper_images(result: Result) -> dict[str, bytes]:
         "fig3_feature_paths": feature_paths(result),
         "fig4_platform_motion": platform_motion(result),
         "fig5_wrench": control_wrench(result),
-        **({"legs": leg_limits(result)} if len(limits_of_motion(result.scenario)) > 1 else {}),
+        **({"legs": leg_limits(result)} if _legs_matter(result) else {}),
     }
     return {
         f"{name}.{extension}": image_bytes(figure, extension)
@@ -423,12 +350,41 @@ def paper_images(result: Result) -> dict[str, bytes]:
     }
 
 
+def _legs_matter(result: Result) -> bool:
+    """Return whether the robot limits more than its stroke, or the run exceeded that or ended there."""
+    limits = limits_of_motion(result.scenario)
+    exceeded = {limit.kind for limit in exceeded_limits(result.scenario, metrics(result))}
+    return len(limits) > 1 or "stroke" in exceeded or result.outcome == "leg_limit"
+
+
 # ---- The image ------------------------------------------------------------------------------------------------------
 
 
 def _point_colour(number: int) -> str:
     """Return the colour of a point, counted from 0; where there are more points than colours, they repeat."""
     return _POINT_COLOURS[number % len(_POINT_COLOURS)]
+
+
+def _inks_of_points(points: int) -> list[Ink]:
+    """Return the inks of x and y of each point: points of the same colour have other dashes, up to 18 points."""
+    count = len(_POINT_COLOURS)
+    return [
+        Ink(_point_colour(number), dashes)
+        for number in range(points)
+        for dashes in _POINT_DASHES[number // count % len(_POINT_DASHES)]
+    ]
+
+
+def _families(points: int) -> dict[str, Any]:
+    """Return the dashes of the lines of feature errors by the names of those that have them, "x₁ to x₄"."""
+    names, count = feature_names(points), len(_POINT_COLOURS)
+    found = {}
+    for first, pair in zip(range(0, points, count), _POINT_DASHES, strict=False):
+        last = min(first + count, points) - 1
+        for axis, dashes in enumerate(pair):
+            one, other = names[2 * first + axis], names[2 * last + axis]
+            found[one if one == other else f"{one} to {other}"] = dashes
+    return found
 
 
 def _path_marks() -> list[Line2D]:

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 import matplotlib
 from matplotlib.figure import Figure
+from matplotlib.textpath import TextPath
 
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
@@ -31,6 +32,7 @@ class Ink(NamedTuple):
 BLACK, BLUE, VERMILION, GREEN, PURPLE, ORANGE = "#000000", "#0072B2", "#D55E00", "#009E73", "#B85F93", "#CC8400"
 GREY = "0.45"
 DASHED, DASH_DOT = (0, (4, 1.2)), (0, (5, 1, 1.2, 1))
+AXES_INKS: tuple[Ink, ...] = (Ink(BLUE), Ink(VERMILION, DASHED), Ink(GREEN, DASH_DOT))  # x, y, z
 LEG_INKS = (
     Ink(BLACK),
     Ink(ORANGE),
@@ -111,6 +113,24 @@ def styled(function: Callable[_P, _T]) -> Callable[_P, _T]:
 def as_written(text: str) -> str:
     """Escape text that users chose: matplotlib takes what is between two dollar signs for a formula."""
     return text.replace("$", r"\$")
+
+
+def text_width(text: str, size: float) -> float:
+    """Return the width of a line of text in our style [in], of a font size [pt]."""
+    return float(TextPath((0, 0), text, size).get_extents().width) / 72 if text.strip() else 0.0
+
+
+def wrapped(text: str, size: float, width: float) -> str:
+    """Break a text at spaces into lines of at most a width [in], of a font size [pt]; a longer word is a line."""
+    first, *words = text.split(" ")
+    lines = [first]
+    for word in words:
+        longer = f"{lines[-1]} {word}"
+        if text_width(longer, size) <= width:
+            lines[-1] = longer
+        else:
+            lines.append(word)
+    return "\n".join(lines)
 
 
 def short_number(value: float, _place: int | None = None) -> str:

@@ -16,8 +16,10 @@ from hexservo.run.samples import (
     ImageView,
     extreme_samples,
     feature_names,
+    force_panels,
     image_views,
     mean_samples,
+    moment_unit,
     moving_mean,
     parts,
     turns_from_home,
@@ -41,7 +43,8 @@ class _Ink(NamedTuple):
 
 
 _POINT_COLOURS = ("@blue", "@vermilion", "@green", "@black", "@purple", "@orange")  # repeated for more points
-_AXES = (_Ink("@blue"), _Ink("@vermilion", "dash"), _Ink("@green", "dashdot"))
+_POINT_DASHES = (("solid", "dash"), ("longdash", "dashdot"), ("dot", "longdashdot"))  # of x, y; by colours' turns
+_AXES: tuple[_Ink, ...] = (_Ink("@blue"), _Ink("@vermilion", "dash"), _Ink("@green", "dashdot"))
 _LEGS = (
     _Ink("@black"),
     _Ink("@orange"),
@@ -63,7 +66,7 @@ def figures(result: Result) -> list[tuple[str, list[Html]]]:
         ("Feature errors", "2b", _feature_errors(result)),
         ("Feature paths in the image", "3", _feature_paths(result)),
         ("Motion of the platform", "4", _platform_motion(result)),
-        ("Wrench and leg forces", "5", _wrench(result)),
+        (_wrench_title(result), "5", _wrench(result)),
         ("Legs and their limits", "", _legs(result)),
     ]
     if moves(result.scenario.base_motion):
@@ -128,7 +131,11 @@ def _feature_errors(result: Result) -> list[Html]:
     for part, title in zip(shown, titles, strict=True):
         time, errors = result.time[part], result.feature_error[part]
         low, high = _range(errors)
-        inks = [_Ink(colour, dash) for colour in _point_colours(points) for dash in ("solid", "dash")]
+        inks = [
+            _Ink(colour, dash)
+            for number, colour in enumerate(_point_colours(points))
+            for dash in _POINT_DASHES[number // len(_POINT_COLOURS) % len(_POINT_DASHES)]
+        ]
         data = _lines(time, errors, feature_names(points), inks, tolerance=TOLERANCE * (high - low))
         within = low >= -band and high <= band
         note = f"All values are within ±{band:g} px." if within else f"Shaded: ±{band:g} px."
@@ -204,7 +211,7 @@ def _platform_motion(result: Result) -> list[Html]:
     rotation = 1e3 * turns_from_home(result, result.quaternion)
     return [
         _over_time(
-            result, f"Position relative to home, in B ({vertical(result)})", "displacement [mm]", displacement, "xyz"
+            result, f"Position relative to home, in B{vertical(result)}", "displacement [mm]", displacement, "xyz"
         ),
         _over_time(
             result,
@@ -216,35 +223,50 @@ def _platform_motion(result: Result) -> list[Html]:
     ]
 
 
+def _wrench_title(result: Result) -> str:
+    """Return what the log's wrench is: for legs that follow positions, what their motion takes."""
+    takes = " that the motion takes" if result.scenario.actuators.kind == "position" else ""
+    return f"Wrench and leg forces{takes}"
+
+
 def _wrench(result: Result) -> list[Html]:
-    weight = float(core_parameters(result.scenario).body.gravity_wrench[2])
     count = mean_samples(result.time)
     note = ""
     if count > 1:
         period = 1e3 * count * float(np.median(np.diff(result.time)))
         note = f"Thin lines are samples, thick lines their mean over {period:.3g} ms."
     wrench = result.wrench
+    unit, per_newton_metre = moment_unit(result)
     label, title = leg_units(result.scenario.robot).efforts
-    level = [_level(weight)]
     forces, limit = result.leg_forces, result.scenario.robot.force_limit
     low, high = _range(forces)
     limits = [value for value in (-limit, limit) if low < value < high]
     of_limit = f"Dotted: limit of {limit:.4g} {leg_units(result.scenario.robot).effort}." if limits else ""
     return [
-        _over_time(result, "Horizontal force, in B", "force [N]", wrench[:, :2], ["fx", "fy"], count, note=note),
+        *(
+            _over_time(
+                result,
+                panel.title,
+                "force [N]",
+                wrench[:, panel.columns],
+                panel.names,
+                count,
+                inks=_AXES[panel.columns],
+                shapes=[_level(weight) for weight in panel.weights.values()],
+                also=tuple(panel.weights.values()),
+                note=f"{panel.note} {note}".strip(),
+            )
+            for panel in force_panels(result)
+        ),
         _over_time(
             result,
-            f"Vertical force, in B ({vertical(result)})",
-            "force [N]",
-            wrench[:, 2:3],
-            ["fz"],
+            "Moment, in B",
+            f"moment [{unit}]",
+            per_newton_metre * wrench[:, 3:],
+            ["mx", "my", "mz"],
             count,
-            inks=[_Ink("@green")],
-            shapes=level,
-            also=(weight,),
-            note=f"Dotted: {weight:.4g} N, the weight that the law feeds forward. {note}".strip(),
+            note=note,
         ),
-        _over_time(result, "Moment, in B", "moment [mN m]", 1e3 * wrench[:, 3:], ["mx", "my", "mz"], count, note=note),
         _over_time(
             result,
             title,

@@ -86,6 +86,11 @@ def limits_of_motion(scenario: Scenario) -> tuple[LegLimit, ...]:
     return tuple(limit for limit in leg_limits(scenario) if limit.kind != "force")
 
 
+def exceeded_limits(scenario: Scenario, metrics: Mapping[str, float]) -> tuple[LegLimit, ...]:
+    """Return the limits that a run exceeded, given its metrics by their names in `hs.METRICS`."""
+    return tuple(limit for limit in leg_limits(scenario) if metrics.get(limit.metric, math.nan) > limit.value)
+
+
 def most_used(scenario: Scenario, metrics: Mapping[str, float]) -> LimitUse:
     """Return the limit of the motion of which a run uses the largest share.
 

@@ -10,13 +10,16 @@ from numpy.typing import NDArray
 
 from hexservo.run.metrics import metrics
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.pixels import desired_features, image_border
+from hexservo.scenario.wording import shown_unit
 
 if TYPE_CHECKING:
     from hexservo.run.result import Result
 
 _MAX_POINTS = 1200  # of one line in one panel: more than print resolves
 _SMALL = 0.4  # of the image: paths within this part of it are shown magnified as well
+_OFF_AXIS = 1e-9  # of gravity: a part along an axis that is smaller is rounding
 _MEAN_TIME = 0.007  # of the moving mean [s]: removes what switches, keeps what swings
 
 
@@ -57,8 +60,70 @@ def rotation_vectors(quaternion: Array) -> Array:
 
 
 def vertical(result: Result) -> str:
-    """Return where z of B points, for titles: down, as gravity does in docs/model.md, or up."""
-    return f"z points {'down' if result.scenario.robot.gravity[2] >= 0 else 'up'}"
+    """Return where z of B points, in brackets for titles: down, as in docs/model.md, or up.
+
+    Empty where gravity is not along z: then z is not vertical.
+    """
+    gravity = np.array(result.scenario.robot.gravity)
+    if not _is_along_z(gravity):
+        return ""
+    return f" (z points {'down' if gravity[2] > 0 else 'up'})"
+
+
+def _is_along_z(gravity: Array) -> bool:
+    return bool(gravity[2] != 0 and (np.abs(gravity[:2]) <= _OFF_AXIS * abs(gravity[2])).all())
+
+
+@dataclass(frozen=True)
+class ForcePanel:
+    """Forces that share a panel."""
+
+    title: str
+    columns: slice  # of the wrench
+    names: tuple[str, ...]
+    weights: dict[str, float]  # force [N] that holds the estimated weight, by name, for each axis that it has a part of
+    note: str  # what they are; empty if there are none
+
+
+def force_panels(result: Result) -> tuple[ForcePanel, ForcePanel]:
+    """Return how the forces of the wrench are drawn: along x and y, and along z, with the weight on its own axes."""
+    weight = np.array(core_parameters(result.scenario).body.gravity_wrench[:3])
+    is_along_z = _is_along_z(weight)
+    titles = (
+        ("Horizontal force, in B", f"Vertical force, in B{vertical(result)}")
+        if is_along_z
+        else ("Force along x and y, in B", "Force along z, in B")
+    )
+    meaning = (
+        "the weight that the law feeds forward"
+        if result.scenario.actuators.kind == "force"
+        else "the estimated weight, which the law does not feed forward"
+    )
+    panels = []
+    for title, columns in zip(titles, (slice(0, 2), slice(2, 3)), strict=True):
+        held = {
+            axis: float(part)
+            for axis, part in zip("xyz"[columns], weight[columns], strict=True)
+            if abs(part) > _OFF_AXIS * float(np.abs(weight).max())
+        }
+        levels = " and ".join(
+            f"{level:.4g} N" + ("" if is_along_z else f" along {axis}") for axis, level in held.items()
+        )
+        panels.append(
+            ForcePanel(
+                title,
+                columns,
+                tuple(f"f{axis}" for axis in "xyz"[columns]),
+                {"−mg" + ("" if is_along_z else axis): level for axis, level in held.items()},
+                f"Dotted: {levels}, {meaning}." if held else "",
+            )
+        )
+    return panels[0], panels[1]
+
+
+def moment_unit(result: Result) -> tuple[str, float]:
+    """Return the unit of an axis of the moments, mN m or from 1 N m on N m, and how many of it make one N m."""
+    return shown_unit(max(float(np.abs(result.wrench[:, 3:]).max()), 1e-3), "N m")  # smaller ones are no axis in uN m
 
 
 def unit_rotation_vectors(unit: Array) -> Array:

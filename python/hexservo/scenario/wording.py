@@ -68,9 +68,18 @@ def quantity(value: float, unit: str, digits: int = 3) -> str:
     "17 mm", "4.87 m", "277 mrad": one to three digits stand before the point. What is less than a billionth has an
     exponent: "2.6e-22 J".
     """
+    shown, scale = shown_unit(value, unit, digits)
+    return f"{number(value * scale, digits)} {shown}"
+
+
+def shown_unit(value: float, unit: str, digits: int = 3) -> tuple[str, float]:
+    """Return the unit in which `quantity` writes a value, and how many of it make one of the given unit.
+
+    The numbers of a column or an axis have that of the largest.
+    """
     size = abs(float(f"{value:.{digits}g}"))
     prefix, scale = next((each for each in _PREFIXES if size * each[1] >= 1.0), _PREFIXES[0])
-    return f"{number(value * scale, digits)} {prefix}{unit}"
+    return f"{prefix}{unit}", scale
 
 
 def joules(value: float, digits: int = 4, unit: str = "J") -> str:

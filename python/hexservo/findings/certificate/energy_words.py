@@ -7,7 +7,7 @@ import numpy as np
 from hexservo.findings.certificate.energy import EnergyLedger
 from hexservo.findings.certificate.words import stride
 from hexservo.findings.evidence import Column, Curves, Line, Section, Table, picked
-from hexservo.scenario.wording import joules
+from hexservo.scenario.wording import joules, shown_unit
 
 PAGE = "docs/certificate/energy.md"
 
@@ -41,30 +41,33 @@ def section(found: EnergyLedger) -> Section:
     ]
     sentences.extend(found.remarks)
     sentences.append("This is the energy balance of this run only.")
+    unit, scale = shown_unit(
+        max([found.turnover, *(float(np.abs(parts).sum()) for parts in found.works.values())]), "J"
+    )
     table = Table(
         "Work of each term",
         (
             Column("term"),
-            Column("work", "uJ"),
-            Column("of translation", "uJ"),
-            Column("of rotation", "uJ"),
-            Column("turned over", "uJ"),
+            Column("work", unit),
+            Column("of translation", unit),
+            Column("of rotation", unit),
+            Column("turned over", unit),
         ),
         [
             (
                 _NAMES[term],
-                found.work(term) * 1e6,
-                float(found.by_axis[term][:3].sum()) * 1e6,
-                float(found.by_axis[term][3:].sum()) * 1e6,
-                float(np.abs(found.works[term]).sum()) * 1e6,
+                found.work(term) * scale,
+                float(found.by_axis[term][:3].sum()) * scale,
+                float(found.by_axis[term][3:].sum()) * scale,
+                float(np.abs(found.works[term]).sum()) * scale,
             )
             for term in found.works
         ]
         + [
-            ("sum of the works", sum(map(found.work, found.works)) * 1e6, None, None, found.turnover * 1e6),
-            ("change of kinetic energy", change * 1e6, None, None, None),
-            ("residual", found.residual * 1e6, None, None, None),
-            ("tolerance of the residual", found.tolerance * 1e6, None, None, None),
+            ("sum of the works", sum(map(found.work, found.works)) * scale, None, None, found.turnover * scale),
+            ("change of kinetic energy", change * scale, None, None, None),
+            ("residual", found.residual * scale, None, None, None),
+            ("tolerance of the residual", found.tolerance * scale, None, None, None),
         ],
         note=f"{found.crossings} steps contain a sign change of a twist component.",
         page=PAGE,
@@ -73,16 +76,16 @@ def section(found: EnergyLedger) -> Section:
     curves = Curves(
         "Work of each term so far",
         "time [s]",
-        "work [uJ]",
+        f"work [{unit}]",
         [
-            Line(_NAMES[term], found.time[shown], np.r_[0.0, np.cumsum(found.works[term])][shown] * 1e6)
+            Line(_NAMES[term], found.time[shown], np.r_[0.0, np.cumsum(found.works[term])][shown] * scale)
             for term in largest
         ]
         + [
             Line(
                 "change of kinetic energy",
                 found.time[shown],
-                (found.energy - found.energy[0])[shown] * 1e6,
+                (found.energy - found.energy[0])[shown] * scale,
                 "dashed",
             )
         ],

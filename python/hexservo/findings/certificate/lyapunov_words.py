@@ -8,7 +8,7 @@ from hexservo.findings.certificate.lyapunov import Lyapunov, Rise
 from hexservo.findings.certificate.uncertainty import AXES
 from hexservo.findings.certificate.words import stride
 from hexservo.findings.evidence import Column, Curves, Line, Section, Table, Verdict
-from hexservo.scenario.wording import joules, number
+from hexservo.scenario.wording import joules, number, shown_unit
 
 PAGE = "docs/certificate/lyapunov.md"
 _ROWS = 12  # of the table of rises, at most
@@ -129,16 +129,28 @@ def _items(found: Lyapunov) -> tuple[Table | Curves, ...]:
     time = found.time[shown]
     floor = np.finfo(float).tiny
     rises = sorted(found.rises, key=lambda rise: -rise.rate)
+    grows, per_watt = shown_unit(
+        max((abs(each) for rise in rises for each in (rise.rate, rise.power)), default=0.0), "W"
+    )
+    changes = (
+        found.change,
+        found.kinetic - found.kinetic[0],
+        found.image - found.image[0],
+        found.change - (found.kinetic - found.kinetic[0]) - (found.image - found.image[0]),
+    )
+    change, per_joule = shown_unit(max(float(np.abs(part[shown]).max()) for part in changes), "J")
+    rates = (found.predicted[shown], found.differentiated[shown])
+    power, per_axis_watt = shown_unit(max(float(np.nanmax(np.abs(rate))) for rate in rates), "W")
     table = Table(
         "Where V grows, worst first",
         (
             Column("from", "s"),
             Column("to", "s"),
             Column("samples"),
-            Column("largest V-dot", "uW"),
+            Column("largest V-dot", grows),
             Column("axis"),
             Column("largest term"),
-            Column("its power", "uW"),
+            Column("its power", grows),
             Column("gamma of the axis"),
         ),
         [
@@ -146,10 +158,10 @@ def _items(found: Lyapunov) -> tuple[Table | Curves, ...]:
                 rise.first,
                 rise.last,
                 rise.samples,
-                rise.rate * 1e6,
+                rise.rate * per_watt,
                 AXES[rise.axis],
                 rise.term,
-                rise.power * 1e6,
+                rise.power * per_watt,
                 rise.gamma,
             )
             for rise in rises[:_ROWS]
@@ -172,25 +184,20 @@ def _items(found: Lyapunov) -> tuple[Table | Curves, ...]:
         Curves(
             "Change of V and of its terms since the start",
             "time [s]",
-            "change [uJ]",
-            [Line("V", time, found.change[shown] * 1e6)]
-            + [Line(name, time, (part - part[0])[shown] * 1e6) for name, part in terms[:2]]
-            + [
-                Line(
-                    "weight error",
-                    time,
-                    (found.change - (found.kinetic - found.kinetic[0]) - (found.image - found.image[0]))[shown] * 1e6,
-                )
+            f"change [{change}]",
+            [
+                Line(name, time, part[shown] * per_joule)
+                for name, part in zip(("V", *(name for name, _ in terms)), changes, strict=True)
             ],
             page=PAGE,
         ),
         Curves(
             "V-dot, two ways",
             "time [s]",
-            "V-dot [uW]",
+            f"V-dot [{power}]",
             [
-                Line("by (20)", time, found.predicted[shown] * 1e6),
-                Line("by differences of V", time, found.differentiated[shown] * 1e6, "points"),
+                Line("by (20)", time, rates[0] * per_axis_watt),
+                Line("by differences of V", time, rates[1] * per_axis_watt, "points"),
             ],
             page=PAGE,
         ),
