@@ -397,6 +397,44 @@ def test_a_key_may_vary_beside_the_one_that_makes_it_act() -> None:
     load_plan(FILE | {"vary": both})
 
 
+SOURCES: dict[str, dict[str, Any]] = {
+    "none": {},
+    "noise": {"camera.noise": 0.1},
+    "dropout": {"camera.dropout": 0.3},
+    "outliers": {"camera.outlier_probability": 0.3, "camera.outlier_size": 5.0},
+    "jitter": {"camera.latency_jitter": 0.002},
+    "encoders": {"sensors.pose": "encoders", "sensors.noise": 1e-5},
+    "exact encoders": {"sensors.pose": "encoders"},
+    "base": {"base_motion.kind": "noise", "base_motion.level": 1e-3},
+    "rotation": {"base_motion.rotation.kind": "noise", "base_motion.rotation.level": 1e-6},
+    "road": {"base_motion.kind": "road"},
+    "a sinusoid": {"base_motion.kind": "sinusoid", "base_motion.amplitude": [0.1, 0.0, 0.0]},
+}
+
+
+@pytest.mark.parametrize("source", SOURCES)
+def test_noise_that_all_runs_share_is_known(source: str) -> None:
+    """It is there exactly where another seed changes a run, and `seed` does not vary."""
+    times = {"camera.period": 0.002, "camera.latency": 0.002, "simulation.duration": 0.02}
+    still = hs.load_scenario("composite-30hz").updated({"camera.noise": 0.0, "seed": 7, **times})
+    scenario = still.updated(SOURCES[source])
+    one, other = (hs.simulate(scenario.updated({"seed": seed})).position for seed in (7, 8))
+    differs = not np.array_equal(one, other)
+    assert differs == (source not in ("none", "exact encoders", "a sinusoid"))
+    vary = {"uncertainty.gravity": {"uniform": [-0.1, 0.1]}}
+    file = {"scenario": scenario, "vary": vary, "require": ["outcome == completed"], "runs": 10}
+    plan = load_plan(file)
+    assert plan.common_noise == (7 if differs else None)
+    assert ("seed" in plan.with_own_noise().vary) == differs
+    assert load_plan(file | {"vary": vary | {"seed": "each"}}).common_noise is None
+
+
+def test_noise_that_varies_from_none_on_is_shared_too() -> None:
+    still = hs.load_scenario("composite-30hz").updated({"camera.noise": 0.0})
+    file = {"scenario": still, "vary": {"camera.noise": {"uniform": [0.0, 0.2]}}, "require": ["outcome == completed"]}
+    assert load_plan(file | {"runs": 10}).common_noise == 0
+
+
 def test_the_file_of_the_page_is_valid() -> None:
     page = Path(__file__).parents[2] / "docs" / "campaigns.md"
     first = page.read_text(encoding="utf-8").split("```yaml\n")[1].split("```")[0]
