@@ -392,6 +392,30 @@ def test_a_key_without_effect_is_refused(key: str, needed: str) -> None:
         load_plan(FILE | varied, {kind: value})
 
 
+@pytest.mark.parametrize(
+    ("scenario", "key", "needed"),
+    [
+        ("composite-30hz", "controller.composite.auto.bandwidth", "where one of kp, .* acts and is not given"),
+        ("reachy-mini-motors", "controller.tracking.auto.bandwidth", "where a gain that follows from it acts and is"),
+        ("pi-h824-positions", "controller.tracking.auto.damping", "in the blocks of other laws, since the motion of"),
+    ],
+)
+def test_what_fits_no_gain_is_refused(scenario: str, key: str, needed: str) -> None:
+    file = {"scenario": scenario, "require": ["outcome == completed"], "runs": 3}
+    message = f"{key}: has no effect here; it acts only {needed}"
+    with pytest.raises(hs.ScenarioError, match=f"^vary.{message}"):
+        load_plan(file | {"vary": {key: {"uniform": [0.5, 2.0]}}})
+    tune = {"variables": {key: {"uniform": [0.5, 2.0]}}}
+    with pytest.raises(hs.ScenarioError, match=f"^tune.variables.{message}"):
+        load_plan(file | {"vary": {"seed": "each"}, "tune": tune})
+
+
+@pytest.mark.parametrize("scenario", ["paper-composite", "pi-h824"])
+def test_a_bandwidth_that_gains_follow_varies_whether_it_is_given_or_not(scenario: str) -> None:
+    vary = {f"controller.composite.auto.{key}": {"uniform": [1.0, 2.0]} for key in ("bandwidth", "damping")}
+    load_plan({"scenario": scenario, "vary": vary, "require": ["outcome == completed"], "runs": 3})
+
+
 def test_a_key_may_vary_beside_the_one_that_makes_it_act() -> None:
     both = {"camera.outlier_size": {"uniform": [0.0, 5.0]}, "camera.outlier_probability": {"choice": [0.1, 0.0]}}
     load_plan(FILE | {"vary": both})
