@@ -257,6 +257,10 @@ REFUSED = [
     ),
     ({"variables": {"controller.composite.kt": {"log": [1, 2], "groups": [0]}}}, "kt.groups: expected a list of sizes"),
     ({"variables": {"controller.composite.kt": {"uniform": [-1, 2]}}}, "kt: expected a number >= 0, but it reaches -1"),
+    (
+        {"variables": {"controller.composite.auto.bandwidth": {"log": [0.5, 20]}}},
+        "bandwidth: expected a scenario with a number, where the search begins, got null; set the key",
+    ),
     ({"variables": {"uncertainty.gravity": {"uniform": [0, 0.1]}}}, "gravity: expected a key that vary does not have"),
     (
         {"variables": {"metrics.band": {"log": [0.1, 100]}}},

@@ -126,7 +126,7 @@ class CampaignPlan(Block):
                 if (sentence := _unfit_variable(self.scenario, key, variable, self.vary))
             ]
         problems += [(place, sentence) for place, name in asked if (sentence := _without_value(self, name))]
-        problems = problems or list(_without_effect(self))
+        problems = problems or list(_without_effect(self)) or list(_without_start(self))
         if problems:
             raise refusal(*problems)
         drawing = self.drawing()
@@ -280,6 +280,16 @@ def _without_effect(plan: CampaignPlan) -> Iterator[Problem]:
     for place in idle:
         if needed := needed_by(place[-1], runs):
             yield place, f"has no effect here; it acts {needed}; set that in the scenario, or drop the key"
+
+
+def _without_start(plan: CampaignPlan) -> Iterator[Problem]:
+    """Find gains to search that have no value in the scenario, where a search begins."""
+    for key in {} if plan.tune is None else plan.tune.variables:
+        if value_at(plan.scenario, key) is None:
+            yield (
+                ("tune", "variables", key),
+                "expected a scenario with a number, where the search begins, got null; set the key in the scenario",
+            )
 
 
 def _at_the_ends(plan: CampaignPlan) -> Iterator[Scenario]:
