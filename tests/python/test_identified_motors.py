@@ -97,9 +97,9 @@ def test_the_steps_of_the_fit_leave_no_bias(paper: hs.Scenario) -> None:
     settings = core_parameters(machine)
     settings["simulation.substeps"] = 64
     home = _core.Hexapod(settings.robot)
-    commands = commands_of(machine, np.random.default_rng(SEED), 150, TICK, 0.004)
+    commands = commands_of(machine, np.random.default_rng(SEED), 60, TICK, 0.004)
     joints = _core.motor_response(settings, commands, home.home_position, home.home_quaternion)
-    plant = _Plant(Log(TICK * np.arange(150.0), TICK, commands, joints, None), given(machine))
+    plant = _Plant(Log(TICK * np.aX, TICK, commands, joints, None), given(machine))
     truth = np.log([MOTOR["kp"], MOTOR["damping"], MOTOR["armature"], MOTOR["friction"]])
 
     def left(logs: NDArray[np.float64]) -> NDArray[np.float64]:
