@@ -99,7 +99,7 @@ def test_the_steps_of_the_fit_leave_no_bias(paper: hs.Scenario) -> None:
     home = _core.Hexapod(settings.robot)
     commands = commands_of(machine, np.random.default_rng(SEED), 60, TICK, 0.004)
     joints = _core.motor_response(settings, commands, home.home_position, home.home_quaternion)
-    plant = _Plant(Log(TICK * np.aX, TICK, commands, joints, None), given(machine))
+    plant = _Plant(Log(TICK * np.arange(60.0), TICK, commands, joints, None), given(machine))
     truth = np.log([MOTOR["kp"], MOTOR["damping"], MOTOR["armature"], MOTOR["friction"]])
 
     def left(logs: NDArray[np.float64]) -> NDArray[np.float64]:
