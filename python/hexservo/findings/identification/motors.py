@@ -166,8 +166,10 @@ def fit_motors(log: Log, machine: Scenario, drives: Drives, report: ProgressCall
         if delay == delays[-1]:  # none of the neighbours of the best one is left out
             best = min(fits, key=lambda fit: fit.cost).delay
             delays += [more for more in (best - 1, best + 1) if more not in delays and 0 <= more <= MOST_DELAY]
-    best = min(fits, key=lambda fit: fit.cost)
-    return _result(log, machine, drives, plant, _finished(plant, partial(residuals, best.delay), best), fitted, scale)
+    coarse = min(fits, key=lambda fit: fit.cost)
+    return _result(
+        log, machine, drives, plant, _finished(plant, partial(residuals, coarse.delay), coarse), fitted, scale
+    )
 
 
 def _fitted(left: Callable[[Array], Array], delay: int, start: Array, tries: int = _TRIES) -> _Fit:
