@@ -271,6 +271,14 @@ def test_no_estimate_of_a_campaign_where_noise_decides() -> None:
     assert as_data(estimate.section().data)["probability"] is None
 
 
+def test_estimates_with_one_noise_say_so() -> None:
+    file = FILE | {"vary": {"uncertainty.gravity": {"normal": [0.0, 0.03]}}}
+    rare = hs.estimate_rare_failures(file, samples=100).section().sentences[-1]
+    indices = hs.sensitivity(file, samples=4).section().sentences[-1]
+    for said, holds in ((rare, "this holds"), (indices, "the indices hold")):
+        assert said.startswith(f"All runs have the same noise (seed 0): {holds} for that noise alone; ")
+
+
 def test_estimates_of_a_campaign() -> None:
     """The estimate of a probability that plain runs measure too, and the inputs that decide it."""
     plan = load_plan(FILE)

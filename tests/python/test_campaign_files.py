@@ -392,9 +392,71 @@ def test_a_key_without_effect_is_refused(key: str, needed: str) -> None:
         load_plan(FILE | varied, {kind: value})
 
 
+@pytest.mark.parametrize(
+    ("scenario", "key", "needed"),
+    [
+        ("composite-30hz", "controller.composite.auto.bandwidth", "where one of kp, .* acts and is not given"),
+        ("reachy-mini-motors", "controller.tracking.auto.bandwidth", "where a gain that follows from it acts and is"),
+        ("pi-h824-positions", "controller.tracking.auto.damping", "in the blocks of other laws, since the motion of"),
+    ],
+)
+def test_what_fits_no_gain_is_refused(scenario: str, key: str, needed: str) -> None:
+    file = {"scenario": scenario, "require": ["outcome == completed"], "runs": 3}
+    message = f"{key}: has no effect here; it acts only {needed}"
+    with pytest.raises(hs.ScenarioError, match=f"^vary.{message}"):
+        load_plan(file | {"vary": {key: {"uniform": [0.5, 2.0]}}})
+    tune = {"variables": {key: {"uniform": [0.5, 2.0]}}}
+    with pytest.raises(hs.ScenarioError, match=f"^tune.variables.{message}"):
+        load_plan(file | {"vary": {"seed": "each"}, "tune": tune})
+
+
+@pytest.mark.parametrize("scenario", ["paper-composite", "pi-h824"])
+def test_a_bandwidth_that_gains_follow_varies_whether_it_is_given_or_not(scenario: str) -> None:
+    vary = {f"controller.composite.auto.{key}": {"uniform": [1.0, 2.0]} for key in ("bandwidth", "damping")}
+    load_plan({"scenario": scenario, "vary": vary, "require": ["outcome == completed"], "runs": 3})
+
+
 def test_a_key_may_vary_beside_the_one_that_makes_it_act() -> None:
     both = {"camera.outlier_size": {"uniform": [0.0, 5.0]}, "camera.outlier_probability": {"choice": [0.1, 0.0]}}
     load_plan(FILE | {"vary": both})
+
+
+SOURCES: dict[str, dict[str, Any]] = {
+    "none": {},
+    "noise": {"camera.noise": 0.1},
+    "dropout": {"camera.dropout": 0.3},
+    "outliers": {"camera.outlier_probability": 0.3, "camera.outlier_size": 5.0},
+    "jitter": {"camera.latency_jitter": 0.002},
+    "encoders": {"sensors.pose": "encoders", "sensors.noise": 1e-5},
+    "exact encoders": {"sensors.pose": "encoders"},
+    "base": {"base_motion.kind": "noise", "base_motion.level": 1e-3},
+    "rotation": {"base_motion.rotation.kind": "noise", "base_motion.rotation.level": 1e-6},
+    "road": {"base_motion.kind": "road"},
+    "a sinusoid": {"base_motion.kind": "sinusoid", "base_motion.amplitude": [0.1, 0.0, 0.0]},
+}
+
+
+@pytest.mark.parametrize("source", SOURCES)
+def test_noise_that_all_runs_share_is_known(source: str) -> None:
+    """It is there exactly where another seed changes a run, and `seed` does not vary."""
+    times = {"camera.period": 0.002, "camera.latency": 0.002, "simulation.duration": 0.02}
+    still = hs.load_scenario("composite-30hz").updated({"camera.noise": 0.0, "seed": 7, **times})
+    scenario = still.updated(SOURCES[source])
+    one, other = (hs.simulate(scenario.updated({"seed": seed})).position for seed in (7, 8))
+    differs = not np.array_equal(one, other)
+    assert differs == (source not in ("none", "exact encoders", "a sinusoid"))
+    vary = {"uncertainty.gravity": {"uniform": [-0.1, 0.1]}}
+    file = {"scenario": scenario, "vary": vary, "require": ["outcome == completed"], "runs": 10}
+    plan = load_plan(file)
+    assert plan.common_noise == (7 if differs else None)
+    assert ("seed" in plan.with_own_noise().vary) == differs
+    assert load_plan(file | {"vary": vary | {"seed": "each"}}).common_noise is None
+
+
+def test_noise_that_varies_from_none_on_is_shared_too() -> None:
+    still = hs.load_scenario("composite-30hz").updated({"camera.noise": 0.0})
+    file = {"scenario": still, "vary": {"camera.noise": {"uniform": [0.0, 0.2]}}, "require": ["outcome == completed"]}
+    assert load_plan(file | {"runs": 10}).common_noise == 0
 
 
 def test_the_file_of_the_page_is_valid() -> None:

@@ -180,10 +180,12 @@ def test_the_mean_of_the_martingale_is_one() -> None:
 # ---- What they decide -----------------------------------------------------------------------------------------------
 
 
-def judged(failures: int, runs: int, until: dict[str, float] | None = None) -> Section:
+def judged(
+    failures: int, runs: int, until: dict[str, float] | None = None, scenario: str = "paper", **more: str
+) -> Section:
     """The section of a campaign in which so many runs fail."""
-    vary = {"uncertainty.gravity": {"uniform": [-0.1, 0.1]}}
-    file = {"scenario": "paper", "vary": vary, "require": ["outcome == completed"], "runs": max(runs, 1)}
+    vary = {"uncertainty.gravity": {"uniform": [-0.1, 0.1]}, **more}
+    file = {"scenario": scenario, "vary": vary, "require": ["outcome == completed"], "runs": max(runs, 1)}
     plan = load_plan(file | {"until": until})
     return summary_section(summary_of(plan, new_record(plan), Tally([failures], runs, failures)))
 
@@ -215,6 +217,22 @@ LIKELY, NARROW = {"probability_below": 0.2}, {"width_below": 0.1}
 )
 def test_verdicts(failures: int, runs: int, until: dict[str, float] | None, verdict: str) -> None:
     assert judged(failures, runs, until).verdict == verdict
+
+
+@pytest.mark.parametrize(
+    ("failures", "until", "verdict"), [(0, None, "warning"), (0, LIKELY, "warning"), (90, None, "bad")]
+)
+def test_runs_with_one_noise_are_never_good(failures: int, until: dict[str, float] | None, verdict: str) -> None:
+    found = judged(failures, 100, until, "composite-30hz")
+    assert found.verdict == verdict
+    assert found.sentences[1] == (
+        "All runs have the same noise (seed 0): the interval holds for that noise alone; "
+        "vary seed: each for other noise."
+    )
+    assert found.data["common_noise"] == 0
+    own = judged(0, 100, None, "composite-30hz", seed="each")
+    assert (own.verdict, own.data["common_noise"]) == ("good", None)
+    assert not any("noise" in sentence for sentence in own.sentences)
 
 
 def test_a_width_that_is_not_reached_is_said() -> None:

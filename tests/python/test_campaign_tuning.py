@@ -102,7 +102,11 @@ def test_tuned_gains_are_better_where_it_was_promised(tmp_path: Path) -> None:
     assert (again.gains, again.worst) == (result.gains, result.worst)
 
 
-def test_noise_differs_from_generation_to_generation_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("more", [{"seed": "each"}, {}])
+def test_noise_differs_from_generation_to_generation_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, more: dict[str, str]
+) -> None:
+    """Also where the file varies no seed: gains that fit one noise would be judged by it."""
     seen: list[tuple[int, Any]] = []
     simulate_batch = hs.simulate_batch
 
@@ -114,14 +118,16 @@ def test_noise_differs_from_generation_to_generation_only(tmp_path: Path, monkey
     short = hs.load_scenario("composite-30hz").updated({"simulation.duration": 0.05, "metrics.rms_start": 0.01})
     file = FILE | {
         "scenario": short,
-        "vary": FILE["vary"] | {"seed": "each"},
+        "vary": FILE["vary"] | more,
         "require": ["outcome == completed"],
         "runs": 5,
     }
-    hs.tune(file, tmp_path / "out", generations=3, rounds=1)
+    result = hs.tune(file, tmp_path / "out", generations=3, rounds=1)
     generations = [seeds.reshape(-1, 6) for size, seeds in seen if size % 6 == 0][:3]
     assert all((rows == rows[0]).all() for rows in generations)
     assert len({rows[0].tobytes() for rows in generations}) == 3
+    assert result.held_out is not None
+    assert result.held_out.to_dataframe()["seed"].is_unique
 
 
 def test_what_cannot_hold_is_named_with_its_relaxation(tmp_path: Path) -> None:
@@ -251,6 +257,10 @@ REFUSED = [
     ),
     ({"variables": {"controller.composite.kt": {"log": [1, 2], "groups": [0]}}}, "kt.groups: expected a list of sizes"),
     ({"variables": {"controller.composite.kt": {"uniform": [-1, 2]}}}, "kt: expected a number >= 0, but it reaches -1"),
+    (
+        {"variables": {"controller.composite.auto.bandwidth": {"log": [0.5, 20]}}},
+        "bandwidth: expected a scenario with a number, where the search begins, got null; set the key",
+    ),
     ({"variables": {"uncertainty.gravity": {"uniform": [0, 0.1]}}}, "gravity: expected a key that vary does not have"),
     (
         {"variables": {"metrics.band": {"log": [0.1, 100]}}},

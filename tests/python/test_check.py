@@ -16,6 +16,7 @@ from hexservo import _core
 from hexservo.findings.analysis.linear_law import NotFiniteError
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check import fastest_rate, keys_without_effect, unlikely
+from hexservo.scenario.fitted import gains_written
 from test_keys_with_effect import fingerprint
 
 # What packaged scenarios are built to be, or come near to: the first words of each warning.
@@ -484,6 +485,17 @@ def test_keys_that_are_noted_change_no_run(paper: hs.Scenario, base: dict[str, A
     assert sorted(key for sentence in noted for key in sentence.partition(":")[0].split(", ")) == sorted(idle)
     assert all("no effect here; " in sentence for sentence in noted)
     assert fingerprint(changed) == fingerprint(scenario)
+
+
+def test_a_damping_that_fits_no_gain_is_noted() -> None:
+    scenario = hs.load_scenario("pi-h824-positions")
+    assert keys_without_effect(scenario) == []
+    changed = scenario.updated({"controller.tracking.auto.damping": 0.5})
+    assert keys_without_effect(changed) == [
+        "controller.tracking.auto.damping: has no effect here; it acts only in the blocks of other laws, since the "
+        "motion of tracking is critically damped"
+    ]
+    assert gains_written(changed) == gains_written(scenario)
 
 
 def test_switching_axis_by_axis_is_noted_where_the_inertia_couples_the_axes(paper: hs.Scenario) -> None:

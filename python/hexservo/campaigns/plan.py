@@ -8,6 +8,7 @@ import json
 import os
 from collections.abc import Iterator, Mapping
 from importlib import resources
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -38,6 +39,7 @@ from hexservo.run.variant import ENVIRONMENT_VARIABLE, VariantError, available_v
 from hexservo.run.variations import changes_of_run, checked_variations, known_key
 from hexservo.scenario.block import Block
 from hexservo.scenario.keys import value_at
+from hexservo.scenario.noise import is_random
 from hexservo.scenario.plain import dotted, plain
 from hexservo.scenario.problems import in_words
 from hexservo.scenario.rules import Flag, Integer, refusal, shown_value
@@ -124,7 +126,7 @@ class CampaignPlan(Block):
                 if (sentence := _unfit_variable(self.scenario, key, variable, self.vary))
             ]
         problems += [(place, sentence) for place, name in asked if (sentence := _without_value(self, name))]
-        problems = problems or list(_without_effect(self))
+        problems = problems or list(_without_effect(self)) or list(_without_start(self))
         if problems:
             raise refusal(*problems)
         drawing = self.drawing()
@@ -191,6 +193,19 @@ class CampaignPlan(Block):
             With one line for each problem.
         """
         return CampaignPlan(**{**self.to_mapping(), "scenario": self.scenario, **keys})
+
+    @property
+    def common_noise(self) -> int | None:
+        """The seed of the noise that all runs share; None where each has its own, or none is random."""
+        if "seed" in self.vary:
+            return None
+        return self.scenario.seed if any(map(is_random, chain([self.scenario], _at_the_ends(self)))) else None
+
+    def with_own_noise(self) -> CampaignPlan:
+        """Return a copy in which each run has its own noise, where all share one; else this plan."""
+        if self.common_noise is None:
+            return self
+        return self.changed(vary={**self.to_mapping()["vary"], "seed": SEED})
 
     @property
     def chunk_count(self) -> int | None:
@@ -265,6 +280,16 @@ def _without_effect(plan: CampaignPlan) -> Iterator[Problem]:
     for place in idle:
         if needed := needed_by(place[-1], runs):
             yield place, f"has no effect here; it acts {needed}; set that in the scenario, or drop the key"
+
+
+def _without_start(plan: CampaignPlan) -> Iterator[Problem]:
+    """Find gains to search that have no value in the scenario, where a search begins."""
+    for key in {} if plan.tune is None else plan.tune.variables:
+        if value_at(plan.scenario, key) is None:
+            yield (
+                ("tune", "variables", key),
+                "expected a scenario with a number, where the search begins, got null; set the key in the scenario",
+            )
 
 
 def _at_the_ends(plan: CampaignPlan) -> Iterator[Scenario]:

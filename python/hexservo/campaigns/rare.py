@@ -15,6 +15,7 @@ from scipy.special import ndtr
 from hexservo.campaigns.distributions import between_ends
 from hexservo.campaigns.judging import Judge
 from hexservo.campaigns.plan import CampaignPlan, load_plan
+from hexservo.campaigns.words import of_common_noise
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Cell, Column, Section, Table
 from hexservo.scenario.arrays import Array
@@ -99,6 +100,8 @@ class RareFailures(Findings):
                 first,
                 f"It is an estimate by {how} and no bound: it lacks failures in a region that no chain entered.",
             ]
+        if (common := self.plan.common_noise) is not None:
+            sentences.append(of_common_noise("this holds", common))
         rows: list[list[Cell]] = [[place, margin] for place, margin in enumerate(levels.thresholds)]
         table = Table("Levels", (Column("level"), Column("margin")), rows, "", "docs/campaigns.md")
         data = {"probability": levels.probability, "variation": levels.variation, "evaluations": levels.evaluations}

@@ -191,7 +191,7 @@ def load_campaign(folder: str | os.PathLike[str]) -> CampaignResult:
     if summary is not None and summary["complete"]:
         until = plan.to_mapping()["until"]
         if (summary["planned_runs"], summary["until"]) == (plan.runs, until):
-            return CampaignResult(store.folder, plan, summary)
+            return CampaignResult(store.folder, plan, summary | {"common_noise": plan.common_noise})
     tally = Tally([0] * len(plan.require))
     present = set(store.indices())
     index = 0
@@ -250,6 +250,7 @@ def summary_of(plan: CampaignPlan, record: dict[str, Any], tally: Tally) -> dict
         "hexservo": record["hexservo"],
         "variant": record["variant"],
         "scenario": plan.scenario.name,
+        "common_noise": plan.common_noise,
         "runs": tally.runs,
         "planned_runs": plan.runs,
         "until": None if plan.until is None else plan.until.to_plain(),

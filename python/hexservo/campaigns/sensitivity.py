@@ -17,6 +17,7 @@ from scipy import stats
 from hexservo.campaigns.distributions import between_ends
 from hexservo.campaigns.judging import Judge
 from hexservo.campaigns.plan import CampaignPlan, load_plan
+from hexservo.campaigns.words import of_common_noise
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Bars, Cell, Column, Item, Section, Share, Table
 from hexservo.run.metrics import METRICS
@@ -85,6 +86,8 @@ class Sensitivity(Findings):
             sentences.append(f"{quantity}: {one} has the largest total index ({share:.0%}, {interval}){second}.")
         if any((self.indices[name].total > 1.0).any() for name in asked if name in self.indices):
             sentences.append("Estimates of indices may exceed 100 %, which no index does; more samples narrow them.")
+        if (common := self.plan.common_noise) is not None:
+            sentences.append(of_common_noise("the indices hold", common))
         items: list[Item] = []
         if "margin" in self.indices:
             found = self.indices["margin"]

@@ -54,9 +54,10 @@ def tune(
     """Search the gains of a campaign file with a block ``tune``, or go on with it, and check them (docs/tune.md).
 
     CMA-ES (Hansen 2016) compares candidates over the same variations with the same noise, which is other noise in each
-    generation. Candidates that keep all requirements come first, by the largest value of the minimised metric; then
-    those that do not, by their violations. After each round worse cases of the winner are searched and join the
-    variations, until none is found. The winner is then judged by a campaign with another ``stream``.
+    generation, also where the file varies no ``seed``. Candidates that keep all requirements come first, by the largest
+    value of the minimised metric; then those that do not, by their violations. After each round worse cases of the
+    winner are searched and join the variations, until none is found. The winner is then judged by a campaign with
+    another ``stream``.
 
     Every batch is kept in the folder when it is simulated. After an interruption the same call goes on, and ends with
     the same gains bit for bit.
@@ -98,7 +99,7 @@ def tune(
     KeyboardInterrupt
         Ctrl-C: what was simulated stays, and the same call goes on.
     """
-    plan = load_plan(source)
+    plan = load_plan(source).with_own_noise()  # gains that fit one noise would be judged by that noise
     if plan.tune is None or plan.runs is None:
         missing = "the block tune" if plan.tune is None else "runs"
         raise ValueError(f"source: expected a campaign file with {missing}, got one without")

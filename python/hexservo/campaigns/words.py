@@ -71,6 +71,8 @@ def verdict_sentences(summary: dict[str, Any]) -> list[str]:
         f"{counted}: the failure probability is between {below(low)} and {above(high)}, with a confidence of "
         f"{summary['confidence']:.4g} that holds at whatever number of runs one stops."
     ]
+    if summary["common_noise"] is not None:
+        sentences.append(of_common_noise("the interval holds", summary["common_noise"]))
     if (until := _decided(summary)) is not None:
         sentences.append(until)
     if summary["clopper_pearson"] is not None:
@@ -85,6 +87,11 @@ def verdict_sentences(summary: dict[str, Any]) -> list[str]:
         of = "" if planned is None else f" of {planned} runs"
         sentences.append(f"The campaign is not complete: {runs}{of} are kept.")
     return sentences
+
+
+def of_common_noise(holds: str, seed: int) -> str:
+    """Return that all runs have the noise of one seed, and that what `holds` does so for that noise alone."""
+    return f"All runs have the same noise (seed {seed}): {holds} for that noise alone; vary seed: each for other noise."
 
 
 def _valueless(metric: str, count: int, runs: int) -> str:
@@ -126,6 +133,8 @@ def _verdict(summary: dict[str, Any]) -> Verdict:
     bound = (summary["until"] or {}).get("probability_below")
     if low > (_OFTEN if bound is None else bound):
         return "bad"
+    if summary["common_noise"] is not None:  # of other noise the runs show nothing
+        return "warning"
     if bound is not None:
         return "good" if high <= bound else "warning"
     return "good" if not summary["failures"] and high <= _SELDOM and not _is_wide(summary) else "warning"

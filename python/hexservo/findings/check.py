@@ -21,7 +21,7 @@ from hexservo.findings.check_motion import of_motion
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.blocks import Robot, preset_values
-from hexservo.scenario.fitted import auto_of, chosen_keys, fitted_keys, idle_gains
+from hexservo.scenario.fitted import auto_of, chosen_keys, fitted_keys, gains_written, idle_gains
 from hexservo.scenario.keys import default_of, keys_below, value_at
 from hexservo.scenario.laws import ALL_LAWS, LAWS, Controller, laws_with
 from hexservo.scenario.motion import Road, moves
@@ -333,7 +333,7 @@ def _of_fuzzy(law: str) -> _Condition:
     return _Condition((block,), enabled, f"only with {block}.enabled: true")
 
 
-def _of_auto(law: str) -> tuple[_Condition, _Condition]:
+def _of_auto(law: str) -> tuple[_Condition, ...]:
     block = f"controller.{law}.auto"
 
     def fits(scenario: Scenario) -> bool:
@@ -345,12 +345,14 @@ def _of_auto(law: str) -> tuple[_Condition, _Condition]:
     def has_bandwidth(scenario: Scenario) -> bool:
         return scenario.controller.law != law or auto_of(scenario).bandwidth is not None
 
-    return (
-        _Condition((block,), fits, f"only where one of {', '.join(fitted_keys(law))} acts and is not given"),
-        _Condition((f"{block}.damping",), has_bandwidth, f"only with {block}.bandwidth"),
-    )
+    bandwidth = _Condition((block,), fits, f"only where one of {', '.join(fitted_keys(law))} acts and is not given")
+    if law == _CRITICALLY_DAMPED:
+        when = f"only in the blocks of other laws, since the motion of {law} is critically damped"
+        return bandwidth, _Condition((f"{block}.damping",), lambda scenario: scenario.controller.law != law, when)
+    return bandwidth, _Condition((f"{block}.damping",), has_bandwidth, f"only with {block}.bandwidth")
 
 
+_CRITICALLY_DAMPED = "tracking"  # the law whose fitted gains have no damping
 _ADAPTIVE = ("gain_far", "gain_slope")
 
 
@@ -470,10 +472,19 @@ def keys_without_effect(scenario: Scenario) -> list[str]:
 
 
 def needed_by(key: str, scenarios: Iterable[Scenario]) -> str:
-    """Return what a key needs to act, as it follows "it acts", where it acts in none of some scenarios; else ""."""
-    scenarios = list(scenarios)
+    """Return what a key needs to act, as it follows "it acts", where it acts in none of some scenarios; else "".
+
+    A bandwidth of `auto` is looked at as if the scenarios had one: in a campaign they do.
+    """
+    bandwidths = _SOME_BANDWIDTHS if key.endswith(".auto.bandwidth") else ()
+    given = [[scenario.updated({key: each}) for each in bandwidths] or [scenario] for scenario in scenarios]
     for condition in _CONDITIONS:
         below = any(f"{key}.".startswith(f"{name}.") for name in condition.keys)
-        if below and not any(condition.acts(scenario) for scenario in scenarios):
+        if below and not any(condition.acts(scenario) for scenario, *_ in given):
             return condition.when
+    if bandwidths and all(gains_written(one) == gains_written(other) for one, other in given):
+        return "only where a gain that follows from it acts and is not given"
     return ""
+
+
+_SOME_BANDWIDTHS = (1.0, 2.0)  # [Hz]; any two differ in every gain that depends on it

@@ -25,6 +25,7 @@ from hexservo.findings.diagnosis.goal import goal_of, obstacle_of
 from hexservo.findings.diagnosis.model import Case, Cause, Removal
 from hexservo.findings.diagnosis.runs import Run, run_all
 from hexservo.scenario.fitted import idle_gains
+from hexservo.scenario.noise import is_random
 from hexservo.scenario.scenario import Scenario
 
 _NOT_ALONE = 0.25  # factor of the score for a cause that makes no run fail alone
@@ -34,7 +35,6 @@ _CHANCE = 0.5  # share by which the score falls if every control passes
 _SIZE = 0.05  # of the random change of a control, relative
 _SEEDS = 2  # other seeds that are tried, and random changes
 _PAIRED = 5  # causes that are removed two at a time
-_RANDOM = ("noise", "dropout", "outlier_probability", "latency_jitter")  # keys of the camera that draw numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,15 +269,8 @@ def _is_elsewhere(one: Study) -> bool:
 def controls(case: Case) -> list[dict[str, Any]]:
     """Return changes that remove no cause: other seeds where something is random, and small changes of the numbers."""
     scenario = case.scenario
-    camera = scenario.camera
-    drawn = case.sampled and (
-        any(getattr(camera, name) for name in _RANDOM)
-        or (scenario.sensors.pose == "encoders" and scenario.sensors.noise > 0.0)
-        or scenario.base_motion.kind in ("noise", "road")
-        or scenario.base_motion.rotation.kind == "noise"
-    )
     changes: list[dict[str, Any]] = []
-    if drawn:
+    if is_random(scenario):
         changes += [{"seed": (scenario.seed + number) % 2**31} for number in range(1, 1 + _SEEDS)]
     random = np.random.default_rng(20)
     law = scenario.controller.law

@@ -27,7 +27,10 @@ from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario
 
 _KEYS = ("kp", "damping", "armature", "friction")  # of `actuators.motor`, the last one may be zero
-_LEG_STEP = 1.25e-3  # [s], most of a step of the legs
+_LEG_STEP = 1.25e-3  # [s], most of a step of the legs in the search
+_HALVINGS = 4  # of it at most, to finish the fit
+_TRIES, _FEW_TRIES = 40, 5  # of least squares at most: in the search, and from a fit with other steps
+_MOVED = 0.1  # standard deviations by which halved steps move a value at most where they are short enough
 _STIFFNESSES = np.geomspace(1e-3, 1e1, 13)  # tried first, times the limit over how far the legs were sent
 _DELAYS = (-1, 0, 1, 2)  # beside that of the drives, which takes a part of it for lag [ticks]
 _SMALLEST = 1e-4  # friction and armature that are looked for at least, as shares of what acts
@@ -81,6 +84,16 @@ class _Fit:
     left: Array  # (6 n,) residuals, in shares of the motion
     cost: float
 
+    @property
+    def correlated(self) -> float:
+        """Ticks over which the residuals are correlated, of the worst leg."""
+        legs = self.left.reshape(-1, 6)
+        return max(correlated(legs[:, leg]) for leg in range(6))
+
+    def deviations(self) -> Array:
+        """Return the standard deviations of `logs`, (4,)."""
+        return deviations(self.jacobian, self.left, len(self.left) / self.correlated)
+
 
 class _Plant:
     """The machine on motors, driven by the commands of a log."""
@@ -90,7 +103,8 @@ class _Plant:
         self._step = float(f"{log.period:.9g}")
         self._settings = core_parameters(machine)
         self._settings["simulation.step"] = self._step
-        self._settings["simulation.substeps"] = max(1, math.ceil(self._step / (_core.MOTOR_STEPS * _LEG_STEP)))
+        self._fewest = max(1, math.ceil(self._step / (_core.MOTOR_STEPS * _LEG_STEP)))
+        self._settings["simulation.substeps"] = self._fewest
         self._settings["actuators.motor.kv"] = 0.0
         hexapod = _core.Hexapod(self._settings.robot)
         self._start = hexapod.forward_kinematics(log.joints[0], hexapod.home_position, hexapod.home_quaternion)
@@ -103,10 +117,13 @@ class _Plant:
         commands = self._commands[:ticks]
         return _core.motor_response(self._settings, commands, self._start.position, self._start.quaternion)
 
+    def halve_steps(self) -> None:
+        """Take twice as many steps in a tick."""
+        self._settings["simulation.substeps"] = 2 * int(self._settings["simulation.substeps"])
+
     def substeps(self) -> int:
         """Return how many steps of the loop a tick needs with the last values, and a quarter more."""
-        least = math.ceil(1.25 * _core.motor_substeps(self._settings))
-        return max(least, int(self._settings["simulation.substeps"]))
+        return max(math.ceil(1.25 * _core.motor_substeps(self._settings)), self._fewest)
 
 
 def fit_motors(log: Log, machine: Scenario, drives: Drives, report: ProgressCallback | None = None) -> MotorFit | None:
@@ -143,23 +160,42 @@ def fit_motors(log: Log, machine: Scenario, drives: Drives, report: ProgressCall
     fits: list[_Fit] = []
     for delay in delays:
         left = partial(residuals, delay)
-        start = _start(log, machine, drives, left)
-        edge = np.log(1e6)
-        found = least_squares(
-            left,
-            start,
-            bounds=(start - edge, start + edge),
-            x_scale=0.3,  # of logarithms: a third of a value
-            diff_step=1e-4,
-            max_nfev=40,
-        )
-        fits.append(_Fit(delay, found.x, found.jac, found.fun, float(found.cost)))
+        fits.append(_fitted(left, delay, _start(log, machine, drives, left)))
         if report is not None:
             report(len(fits), len(delays))
         if delay == delays[-1]:  # none of the neighbours of the best one is left out
             best = min(fits, key=lambda fit: fit.cost).delay
             delays += [more for more in (best - 1, best + 1) if more not in delays and 0 <= more <= MOST_DELAY]
-    return _result(log, machine, drives, plant, min(fits, key=lambda fit: fit.cost), fitted, scale)
+    coarse = min(fits, key=lambda fit: fit.cost)
+    return _result(
+        log, machine, drives, plant, _finished(plant, partial(residuals, coarse.delay), coarse), fitted, scale
+    )
+
+
+def _fitted(left: Callable[[Array], Array], delay: int, start: Array, tries: int = _TRIES) -> _Fit:
+    edge = np.log(1e6)
+    found = least_squares(
+        left,
+        start,
+        bounds=(start - edge, start + edge),
+        x_scale=0.3,  # of logarithms: a third of a value
+        diff_step=1e-4,
+        max_nfev=tries,
+    )
+    return _Fit(delay, found.x, found.jac, found.fun, float(found.cost))
+
+
+def _finished(plant: _Plant, left: Callable[[Array], Array], fit: _Fit) -> _Fit:
+    """Fit again with halved steps of the plant, until they move no value by more than a part of its deviation.
+
+    Friction makes the error of the steps one of first order: halved steps leave as much of it as they move.
+    """
+    for _ in range(_HALVINGS):
+        plant.halve_steps()
+        before, fit = fit, _fitted(left, fit.delay, fit.logs, _FEW_TRIES)
+        if (np.abs(fit.logs - before.logs) <= _MOVED * fit.deviations()).all():
+            break
+    return fit
 
 
 def _values(logs: Array) -> dict[str, float]:
@@ -186,11 +222,8 @@ def _result(
     log: Log, machine: Scenario, drives: Drives, plant: _Plant, best: _Fit, fitted: int, scale: float
 ) -> MotorFit:
     values = _values(best.logs)
-    legs = best.left.reshape(-1, 6)
-    together = max(correlated(legs[:, leg]) for leg in range(6))
-    sigma = deviations(best.jacobian, best.left, len(best.left) / together)
     intervals = {}
-    for key, one in zip(_KEYS, sigma, strict=True):
+    for key, one in zip(_KEYS, best.deviations(), strict=True):
         with np.errstate(over="ignore"):
             factor = float(np.exp(half_width(float(one))))
         intervals[key] = Interval(values[key], values[key] / factor, values[key] * factor)
@@ -206,7 +239,7 @@ def _result(
         delay=best.delay,
         limit=machine.robot.force_limit,
         noise=scale * float(np.sqrt(2.0 * best.cost / (len(best.left) - len(_KEYS)))),
-        correlated=together,
+        correlated=best.correlated,
         error=_rms(predicted - measured),
         error_of_drives=_rms(drives.predicted - drives.measured),
         explained=min(shares, default=None),
