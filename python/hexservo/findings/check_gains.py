@@ -10,6 +10,7 @@ import numpy as np
 from hexservo import _core
 from hexservo.findings.analysis.reach import nearest_limit
 from hexservo.findings.analysis.scene import Scene
+from hexservo.findings.coupling import settling_ratio
 from hexservo.findings.leg_feedback import feedback_margin, integral_margin
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.block import SAMPLED_MODE
@@ -29,6 +30,7 @@ _TURNED = 0.9  # share of rotations in the common motion of the features
 _OF_MARGIN = 0.5  # share of its gain margin that a feedback may have: 6 dB are left
 _OF_NOISE = 4.0  # deviations of the camera's noise that a jump must be of: six coordinates reach it in 1 of 2600 frames
 _COORDINATES = 6  # of a target's pose
+_COUPLED = 0.85, 1.2  # least and most of the time to settle, over that without products of the inertia
 _ROUNDING = 1.0 + 1e-9
 
 
@@ -52,6 +54,7 @@ def of_gains(scene: Scene, fastest: float | None) -> Iterator[str]:
             yield from _of_delay(scenario, key, auto.bandwidth, auto.damping)
         if scenario.actuators.kind == "force":  # other drives get there in their own time, or whatever effort it takes
             yield from _of_forces(scene, key, auto.bandwidth)
+            yield from _of_coupling(scene, key, auto.damping)
         yield from _of_image(scene, key)
     elif scenario.controller.traits.output == "pose":
         bandwidth = scenario.controller.gains.bandwidth
@@ -180,6 +183,19 @@ def _of_forces(scene: Scene, key: str, bandwidth: float) -> Iterator[str]:
         yield (
             f"{key} needs {quantity(needed, unit)} of leg {leg + 1} at the start, which has {quantity(limit, unit)}: "
             f"enough for {number(bandwidth * math.sqrt(share[leg]))} Hz"
+        )
+
+
+def _of_coupling(scene: Scene, key: str, damping: float) -> Iterator[str]:
+    """Find an inertia that couples the axes, as that of a centre of mass off the origin: gains are for one axis."""
+    ratio = settling_ratio(machine_of(scene.scenario), scene.scenario.controller.law, damping)
+    least, most = _COUPLED
+    if ratio < least or ratio > most:  # not where it is not a number
+        time = f"in {number(ratio, 2)} times the time" if math.isfinite(ratio) else "beyond the time"
+        yield (
+            f"{key} is fitted axis by axis, but the inertia couples the axes (robot.centre_of_mass, "
+            f"robot.payload.position, products in robot.inertia): the image error settles {time} of uncoupled axes; "
+            "computed_torque takes the coupling out"
         )
 
 

@@ -27,7 +27,7 @@ from hexservo.scenario.plain import plain, put
 # Dimensionless numbers of the formulas, docs/gains.md.
 _PRIOR = 1.5e-3  # composite, computed_torque: weight of the prior over the image of one point
 _NOISY_PRIOR = 0.05  # pbvs: the same under noise; an exact image releases it
-_UPTAKE = 0.5  # composite: rate at which the fuzzy systems take up a constant force, over omega
+UPTAKE = 0.5  # composite: rate at which the fuzzy systems take up a constant force, over omega
 _CENTRE = 0.63  # composite: |phi-bar|^2 where both inputs are zero, with the default bells
 _FULL_SCALE = 3.0  # composite: one over the pose error at which an input is at its limit, in distances and in rad
 _STICTION = 3e-4  # composite: pose error at which K_t overcomes K_v, in distances and in rad
@@ -207,7 +207,7 @@ def _hybrid(machine: Machine, omega: Array, zeta: Array) -> dict[str, Array]:
 
 
 def _composite(machine: Machine, omega: Array, zeta: Array) -> dict[str, Array]:
-    stiffness, uptake = omega**2 * machine.inertia, _UPTAKE * omega
+    stiffness, uptake = omega**2 * machine.inertia, UPTAKE * omega
     return {
         "kp": _IMAGE * _image_stiffness(machine, omega),
         "kv": _STICTION * stiffness * machine.distance,
