@@ -400,7 +400,8 @@ def test_erratum_11_the_linear_block_is_the_mass_and_property_1_has_a_derivative
 
     def inertia(time: float) -> Array:
         angle = time * np.linalg.norm(rate)
-        return probe.inertia(np.array([[np.cos(angle / 2), *(np.sin(angle / 2) * rate / np.linalg.norm(rate))]]))[0]
+        quaternion = np.array([[np.cos(angle / 2), *(np.sin(angle / 2) * rate / np.linalg.norm(rate))]])
+        return np.asarray(probe.inertia(quaternion)[0])
 
     mass = inertia(0.4)
     np.testing.assert_allclose(mass[:3, :3], paper.robot.mass * np.eye(3), rtol=1e-15)
