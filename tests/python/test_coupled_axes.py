@@ -1,4 +1,4 @@
-"""What `hexservo check` says of fitted gains where the inertia couples the axes: a centre of mass off the origin."""
+"""Warnings of `hexservo check` about fitted gains where the inertia couples the axes: a centre of mass off the origin."""
 
 from __future__ import annotations
 
