@@ -1,4 +1,4 @@
-"""Warnings of `hexservo check` about fitted gains where the inertia couples the axes: a centre of mass off the origin."""
+"""What `hexservo check` warns of with fitted gains where the inertia couples the axes."""
 
 from __future__ import annotations
 
