@@ -1,9 +1,10 @@
 """How alike random machines settle with fitted gains, in units of 1/bandwidth.
 
     python tests/python/fitted_machines.py --machines 1000
+    python tests/python/fitted_machines.py --machines 1000 --off-centre 0.2 --laws pbvs,composite
 
-prints the table of docs/gains.md. Machines, targets and starts are drawn with a fixed seed; the images of start and
-goal are projected here, by the pinhole equation alone.
+print the tables of docs/gains.md, of bodies whose centre of mass is E's origin and is off it. Machines, targets and
+starts are drawn with a fixed seed; the images of start and goal are projected here, by the pinhole equation alone.
 """
 
 from __future__ import annotations
@@ -40,7 +41,8 @@ class Machines:
     """Random machines, one per row; lengths in m, masses in kg, features in px."""
 
     mass: Array  # (n,)
-    inertia: Array  # (n, 3, 3)
+    inertia: Array  # (n, 3, 3) about E's origin
+    centre: Array  # (n, 3) of mass, in E
     radius: Array  # (n,) of the platform's joints
     home: Array  # (n, 3)
     focal: Array  # (n,) [px]
@@ -64,10 +66,18 @@ def image(focal: float, points: Array, position: Array, attitude: Array) -> Arra
     return np.asarray((-focal * seen[:, :2] / seen[:, 2:]).ravel())
 
 
-def draw(count: int, start: str, seed: int = SEED) -> Machines:
-    """Draw machines from 60 g to 5 t, cameras 0.1 to 5 m from the target, bandwidths of 0.2 to 20 Hz."""
-    random = np.random.default_rng(seed)
+def draw(count: int, start: str, seed: int = SEED, off_centre: float = 0.0) -> Machines:
+    """Draw machines from 60 g to 5 t, cameras 0.1 to 5 m from the target, bandwidths of 0.2 to 20 Hz.
+
+    The centre of mass is `off_centre` platform radii from E's origin, any way; the rest does not depend on it.
+    """
+    random, ways = np.random.default_rng(seed), np.random.default_rng([seed, 1])
     rows = [_one(random, start) for _ in range(count)]
+    for row in rows:
+        way = ways.normal(size=3)
+        centre = off_centre * row["radius"] * way / np.linalg.norm(way)
+        row["centre"] = centre
+        row["inertia"] = row["inertia"] + row["mass"] * (centre @ centre * np.eye(3) - np.outer(centre, centre))
     return Machines(*(np.array([row[name] for row in rows]) for name in Machines.__dataclass_fields__))
 
 
@@ -136,6 +146,7 @@ def variations(law: str, machines: Machines) -> dict[str, Array]:
     return {
         "robot.mass": machines.mass,
         "robot.inertia": machines.inertia,
+        "robot.centre_of_mass": machines.centre,
         "robot.platform_radius": machines.radius,
         "robot.base_radius": 2.0 * machines.radius,
         "robot.home_position": machines.home,
@@ -204,6 +215,7 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--machines", type=int, default=1000)
+    parser.add_argument("--off-centre", type=float, default=0.0, help="of the centre of mass, in platform radii")
     parser.add_argument("--laws", default=",".join(LAWS))
     asked = parser.parse_args()
     print(f"{asked.machines} machines, seed {SEED}")
@@ -211,7 +223,7 @@ def main() -> None:
     print("| --- | --- | --- | --- | --- | --- | --- | --- | --- |")
     for law in asked.laws.split(","):
         for start in STARTS:
-            machines = draw(asked.machines, start)
+            machines = draw(asked.machines, start, off_centre=asked.off_centre)
             warnings = warned(law, machines)
             for mode in MODES:
                 print(row(law, start, mode, machines, warnings).line(), flush=True)

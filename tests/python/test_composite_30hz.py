@@ -12,7 +12,7 @@ import corners
 import hexservo as hs
 from hexservo.campaigns.plan import load_plan
 from hexservo.scenario.keys import value_at
-from test_readme import ROOT
+from test_docs import ROOT, tables_in
 
 # In SI units and pixels, and not taken over from the script that checks them.
 LIMITS = {
@@ -51,6 +51,18 @@ def test_every_corner_is_within_the_limits(name: str, report: corners.Report) ->
     assert report.corners[name].shape == (64,)
     assert report.worst[name] == report.corners[name].max()
     assert 0 < report.worst[name] <= LIMITS[name]
+
+
+@pytest.mark.slow
+def test_the_page_prints_what_the_check_measures(report: corners.Report) -> None:
+    """docs/model.md, section 8: the worst corner, and its share of the limit."""
+    page = (ROOT / "docs" / "model.md").read_text(encoding="utf-8")
+    (rows,) = (rows for head, rows in tables_in(page) if head[1:] == ["required", "worst corner", "of the limit"])
+    for row, (name, rule) in zip(rows, corners.REQUIREMENTS.items(), strict=True):
+        shown = row[2].split()[0]
+        decimals = len(shown.partition(".")[2])
+        assert shown == f"{report.worst[name] * rule.scale:.{decimals}f}", row[0]
+        assert row[3] == f"{100 * rule.share(report.worst[name]):.0f} %", row[0]
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from hexservo.findings.diagnosis.causes import CAUSES
 from packages import PACKAGES
 from test_docs import ROOT, prose_of, tables_in
 
-WORDS = {"four": 4, "six": 6, "seven": 7, "eight": 8, "ten": 10, "eighteen": 18, "twenty-one": 21}
+WORDS = {"four": 4, "six": 6, "seven": 7, "eight": 8, "ten": 10, "eleven": 11, "eighteen": 18, "twenty-one": 21}
 RULES = hs.load_scenario("paper").updated({"simulation.duration": 0.001})
 WEIGHTS = hs.simulate(RULES).fuzzy_weights  # (6, 7, 7)
 RANKING = "docs/diagnosis/ranking.md"

@@ -1,4 +1,4 @@
-"""The ten errata and gaps of the paper, each shown by running the package: docs/model.md section 9."""
+"""The eleven errata and gaps of the paper, each shown by running the package: docs/model.md section 9."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 import hexservo as hs
 from hexservo import _core
+from hexservo.scenario.parameters import core_parameters
 
 Array = NDArray[np.float64]
 
@@ -390,3 +391,25 @@ def test_erratum_10_unequal_depth_errors_are_the_hard_case(paper: hs.Scenario, s
 @pytest.mark.parametrize("error", [-0.3, 0.3])
 def test_erratum_10_a_common_depth_error_is_nearly_harmless(paper: hs.Scenario, error: float) -> None:
     assert final_error(paper, {"uncertainty.depth": error}) < 0.1
+
+
+def test_erratum_11_the_linear_block_is_the_mass_and_property_1_has_a_derivative(paper: hs.Scenario) -> None:
+    """y^T (dD/dt - 2 C) y = 0 along a rotation, with C = blkdiag(0, [omega]x I'); not so y^T (D - 2 C) y."""
+    probe = _core.Probe(core_parameters(paper))
+    rate, step = np.array([0.3, -0.5, 0.2]), 1e-6
+
+    def inertia(time: float) -> Array:
+        angle = time * np.linalg.norm(rate)
+        quaternion = np.array([[np.cos(angle / 2), *(np.sin(angle / 2) * rate / np.linalg.norm(rate))]])
+        return np.asarray(probe.inertia(quaternion)[0])
+
+    mass = inertia(0.4)
+    np.testing.assert_allclose(mass[:3, :3], paper.robot.mass * np.eye(3), rtol=1e-15)
+    twist = np.array([0.1, -0.2, 0.3, *rate])
+    coriolis = np.zeros((6, 6))
+    coriolis[3:, 3:] = np.cross(rate, np.eye(3)).T @ mass[3:, 3:]
+    change = (inertia(0.4 + step) - inertia(0.4 - step)) / (2 * step)
+    for other in (twist, np.array([0.0, 0.0, 0.0, 0.2, 0.4, -0.1])):  # any y, not the twist alone
+        assert abs(other @ (change - 2 * coriolis) @ other) < 1e-12
+    assert twist @ (mass - 2 * coriolis) @ twist == pytest.approx(twist @ mass @ twist, rel=1e-12)
+    assert twist @ mass @ twist > 0.0

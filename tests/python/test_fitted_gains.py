@@ -81,11 +81,17 @@ def test_the_paper_s_machine_has_the_default_gains_at_its_bandwidth(paper: hs.Sc
 
 
 @pytest.mark.parametrize("law", [*SECOND_ORDER, "kelly"])
-@pytest.mark.parametrize("damping", [0.6, 1.0, 2.0])
-def test_the_error_follows_the_second_order_equation(paper: hs.Scenario, law: str, damping: float) -> None:
+@pytest.mark.parametrize(
+    ("damping", "weights"),
+    [(0.6, 1.0), (1.0, 1.0), (2.0, 1.0), (1.0, [9.0, 1.0, 1.0, 1.0])],
+)
+def test_the_error_follows_the_second_order_equation(
+    paper: hs.Scenario, law: str, damping: float, weights: float | list[float]
+) -> None:
     """e'' + 2 zeta omega e' + omega^2 e = 0 from rest; for composite too, whose integrating pole is cancelled.
 
-    For kelly from a common shift of the features. Without friction; what is allowed is the prior's share.
+    For kelly from a common shift of the features. Without friction; what is allowed is the prior's share. Whatever the
+    points count.
     """
     bandwidth = 3.0
     turned = image(
@@ -95,6 +101,7 @@ def test_the_error_follows_the_second_order_equation(paper: hs.Scenario, law: st
     scenario = scenario.updated(
         {
             "target.desired_features": turned,
+            "target.weights": weights,
             "uncertainty": {"inertia": 0.0, "coriolis": 0.0, "depth": 0.0},
             "simulation": {"duration": 0.5, "step": 1e-3},
             "controller.composite.kv": 0.0,

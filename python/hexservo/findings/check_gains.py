@@ -10,6 +10,7 @@ import numpy as np
 from hexservo import _core
 from hexservo.findings.analysis.reach import nearest_limit
 from hexservo.findings.analysis.scene import Scene
+from hexservo.findings.coupling import settling_ratio
 from hexservo.findings.leg_feedback import feedback_margin, integral_margin
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.block import SAMPLED_MODE
@@ -29,6 +30,7 @@ _TURNED = 0.9  # share of rotations in the common motion of the features
 _OF_MARGIN = 0.5  # share of its gain margin that a feedback may have: 6 dB are left
 _OF_NOISE = 4.0  # deviations of the camera's noise that a jump must be of: six coordinates reach it in 1 of 2600 frames
 _COORDINATES = 6  # of a target's pose
+_COUPLED = 0.85, 1.2  # least and most of the time to settle, over that without products of the inertia
 _ROUNDING = 1.0 + 1e-9
 
 
@@ -52,6 +54,7 @@ def of_gains(scene: Scene, fastest: float | None) -> Iterator[str]:
             yield from _of_delay(scenario, key, auto.bandwidth, auto.damping)
         if scenario.actuators.kind == "force":  # other drives get there in their own time, or whatever effort it takes
             yield from _of_forces(scene, key, auto.bandwidth)
+            yield from _of_coupling(scene, key, auto.damping)
         yield from _of_image(scene, key)
     elif scenario.controller.traits.output == "pose":
         bandwidth = scenario.controller.gains.bandwidth
@@ -183,6 +186,19 @@ def _of_forces(scene: Scene, key: str, bandwidth: float) -> Iterator[str]:
         )
 
 
+def _of_coupling(scene: Scene, key: str, damping: float) -> Iterator[str]:
+    """Find an inertia that couples the axes, as that of a centre of mass off the origin: gains are for one axis."""
+    ratio = settling_ratio(machine_of(scene.scenario), scene.scenario.controller.law, damping)
+    least, most = _COUPLED
+    if ratio < least or ratio > most:  # not where it is not a number
+        time = f"in {number(ratio, 2)} times the time" if math.isfinite(ratio) else "beyond the time"
+        yield (
+            f"{key} is fitted axis by axis, but the inertia couples the axes (robot.centre_of_mass, "
+            f"robot.payload.position, products in robot.inertia): the image error settles {time} of uncoupled axes; "
+            "computed_torque takes the coupling out"
+        )
+
+
 def _of_image(scene: Scene, key: str) -> Iterator[str]:
     """Yield where the law's own structure keeps it from settling as others do."""
     law, machine = scene.scenario.controller.law, machine_of(scene.scenario)
@@ -235,14 +251,16 @@ def _of_way(scene: Scene) -> Iterator[str]:
 def slow_share(scene: Scene, machine: Machine) -> float:
     """Return the share of the largest feature error at the start that motions below half the bandwidth have.
 
-    Motions of `kelly` without damping, at the goal: the eigenvectors of J D^-1 J^T K_p. Image errors that no motion
-    has (its null space) count.
+    Of the points that count. Motions of `kelly` without damping, at the goal: the eigenvectors of J D^-1 J^T W K_p.
+    Image errors that no motion has (its null space) count.
     """
-    stiffness = np.tile(1.0 / machine.pointing, machine.points)  # K_p/omega^2
-    root = np.sqrt(stiffness)
-    moved = machine.jacobian @ np.linalg.solve(machine.mass, machine.jacobian.T)
+    counted = machine.weights > 0.0
+    stiffness = np.tile(1.0 / machine.pointing, len(counted) // 2)  # K_p/omega^2
+    root = np.sqrt(machine.weights * stiffness)[counted]
+    jacobian = machine.jacobian[counted]
+    moved = jacobian @ np.linalg.solve(machine.mass, jacobian.T)
     squares, ways = np.linalg.eigh(root[:, None] * moved * root)
-    error = scene.desired - scene.view(scene.start).features
+    error = (scene.desired - scene.view(scene.start).features)[counted]
     parts = ways.T @ (root * error)
     slow = ways @ np.where(squares < _SLOW**2, parts, 0.0) / root
     return _largest_share(slow, error)
@@ -250,8 +268,7 @@ def slow_share(scene: Scene, machine: Machine) -> float:
 
 def turning_share(machine: Machine) -> float:
     """Return the share of rotations in how a common force on all features moves them together, the least of x and y."""
-    together = np.tile(np.eye(2), machine.points) / np.sqrt(machine.points)
-    pull = (together @ machine.jacobian)[:, 3:]
+    pull = machine.common_pull[:, 3:]
     turned = np.einsum("ij,ji->i", pull, np.linalg.solve(machine.mass[3:, 3:], pull.T))
     return float((turned / machine.pointing).min())
 
@@ -259,24 +276,26 @@ def turning_share(machine: Machine) -> float:
 def share_of_prior(scene: Scene, machine: Machine) -> float:
     """Return the share of the largest feature error at the start with which image and start pose balance.
 
-    Zero where no pose shows the goal image.
+    Of the points that count. Zero where no pose shows the goal image.
     """
-    left = left_by_inverse(scene, machine)
-    share = _largest_share(machine.jacobian @ left, scene.desired - scene.view(scene.start).features)
+    counted = machine.weights > 0.0
+    left = machine.jacobian @ left_by_inverse(scene, machine)
+    share = _largest_share(left[counted], (scene.desired - scene.view(scene.start).features)[counted])
     return share if math.isfinite(share) else 0.0
 
 
 def left_by_inverse(scene: Scene, machine: Machine) -> Array:
-    """Return (J^T J + M)^-1 M x, x from home to the goal, (6,) [m; rad]: what the estimated pose error leaves out.
+    """Return (J^T W J + M)^-1 M x, x from home to the goal, (6,) [m; rad]: what the estimated pose error leaves out.
 
-    To first order. With M a prior, J^T xi-tilde = M (x - left) there, and e = 0: image and start pose balance. With M a
-    damping of the inverse, the law is slow from there on. NaN where no pose shows the goal image, or no inverse exists.
+    To first order. With M a prior, J^T W xi-tilde = M (x - left) there, and e = 0: image and start pose balance. With M
+    a damping of the inverse, the law is slow from there on. NaN where no pose shows the goal image, or no inverse
+    exists.
     """
     law = scene.scenario.controller.law
     gain = value_at(scene.scenario, f"controller.{law}.{_core.LAW_TRAITS[law].inverse}")
     weight = np.diag(np.broadcast_to(gain, 6))
     try:
-        left = np.linalg.solve(machine.jacobian.T @ machine.jacobian + weight, weight @ machine.displacement)
+        left = np.linalg.solve(machine.information + weight, weight @ machine.displacement)
     except np.linalg.LinAlgError:
         return np.full(6, np.nan)
     return np.asarray(left)

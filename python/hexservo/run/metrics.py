@@ -29,7 +29,7 @@ METRICS: dict[str, tuple[str, str]] = {
     "peak_leg_excursion": ("m", "largest leg travel from the middle of its stroke, which is the home length as a rule"),
     "overshoot": ("px", "largest excursion of a feature coordinate beyond its goal"),
     "relative_overshoot": ("1", "overshoot as a fraction of the initial error of the component"),
-    "peak_feature_distance": ("px", "largest distance of a feature from the image centre"),
+    "peak_feature_distance": ("px", "largest distance of a feature from the principal point, in pixels of the pinhole"),
     "peak_line_deviation": ("px", "largest distance of a feature from its straight way"),
     "effort": (
         "N^2 s",

@@ -27,7 +27,7 @@ from hexservo.scenario.plain import plain, put
 # Dimensionless numbers of the formulas, docs/gains.md.
 _PRIOR = 1.5e-3  # composite, computed_torque: weight of the prior over the image of one point
 _NOISY_PRIOR = 0.05  # pbvs: the same under noise; an exact image releases it
-_UPTAKE = 0.5  # composite: rate at which the fuzzy systems take up a constant force, over omega
+UPTAKE = 0.5  # composite: rate at which the fuzzy systems take up a constant force, over omega
 _CENTRE = 0.63  # composite: |phi-bar|^2 where both inputs are zero, with the default bells
 _FULL_SCALE = 3.0  # composite: one over the pose error at which an input is at its limit, in distances and in rad
 _STICTION = 3e-4  # composite: pose error at which K_t overcomes K_v, in distances and in rad
@@ -55,10 +55,25 @@ class Machine:
     inertia: Array  # (6,) D_j, diagonal of D-bar at the goal [kg] x3, [kg m^2] x3
     sight: Array  # (6,) s_v [px/m] x3, s_omega [px/rad] x3
     pointing: Array  # (2,) rho_x, rho_y [px^2/(N m s^2)]
-    points: int  # n
-    jacobian: Array  # (2n, 6) J at the goal [px/m, px/rad]
+    weights: Array  # (2p,) diagonal of W, what each coordinate of the p points counts [1]
+    jacobian: Array  # (2p, 6) J at the goal, whatever its points count [px/m, px/rad]
     mass: Array  # (6, 6) D-bar there [kg; kg m^2]
     displacement: Array  # (6,) from home to the goal [m; rad]; NaN where no pose shows the goal image
+
+    @property
+    def points(self) -> float:
+        """Return n, what all points count together: one of weight 2 is as two of weight 1 in its place."""
+        return float(self.weights.sum() / 2.0)
+
+    @property
+    def common_pull(self) -> Array:
+        """Return u^T W J/sqrt(n) for u that is 1 in every x, and in every y, (2, 6) [px/m, px/rad]."""
+        return _common_pull(self.jacobian, self.weights)
+
+    @property
+    def information(self) -> Array:
+        """Return J^T W J, (6, 6) [px^2/m^2; px^2/rad^2]."""
+        return np.asarray(self.jacobian.T @ (self.weights[:, None] * self.jacobian))
 
     @property
     def distance(self) -> Array:
@@ -82,16 +97,20 @@ def machine_of(scenario: Blocks) -> Machine:
     position, quaternion, depth, displacement = _goal(scenario, settings, probe)
     desired = settings.camera.features(settings["target.desired_features"].reshape(-1, 2)).ravel()
     jacobian = probe.image_jacobian(desired[None], depth, quaternion, position=position)[0]
-    jacobian = jacobian * np.sqrt(np.repeat(settings["target.weights"], 2))[:, None]  # as the points count
+    weights = np.repeat(settings["target.weights"], 2)
     inertia = probe.inertia(quaternion)[0]
     # in units of a power of two, so that no square overflows and no bit moves
     size = np.exp2(np.frexp(np.abs(jacobian).max())[1] - 1)
-    sight = size * np.sqrt(((jacobian / size).reshape(-1, 2, 3) ** 2).sum(axis=(0, 2)) / len(desired))
-    points = len(desired) // 2
-    together = np.tile(np.eye(2), points) / np.sqrt(points)  # (2, 2n): all features move alike, in x and in y
-    pull = together @ jacobian
+    squares = weights[:, None] * (jacobian / size) ** 2
+    sight = size * np.sqrt(squares.reshape(-1, 2, 3).sum(axis=(0, 2)) / weights.sum())
+    pull = _common_pull(jacobian, weights)
     pointing = np.einsum("ij,ji->i", pull, np.linalg.solve(inertia, pull.T))
-    return Machine(np.diag(inertia).copy(), np.repeat(sight, 3), pointing, points, jacobian, inertia, displacement)
+    return Machine(np.diag(inertia).copy(), np.repeat(sight, 3), pointing, weights, jacobian, inertia, displacement)
+
+
+def _common_pull(jacobian: Array, weights: Array) -> Array:
+    common = np.tile(np.eye(2), len(weights) // 2) * weights
+    return np.asarray(common @ jacobian / np.sqrt(weights.sum() / 2.0))
 
 
 def machine_with(scenario: Blocks, changes: Mapping[str, Any]) -> Machine:
@@ -171,8 +190,8 @@ def _prior(machine: Machine, omega: Array, share: float = _PRIOR) -> Array:
 
 
 def _image_stiffness(machine: Machine, omega: Array) -> Array:
-    """Return K_p of `kelly` and `hybrid`, (..., 2n) [N m/px^2]."""
-    return np.tile(omega**2 / machine.pointing, machine.points)
+    """Return K_p of `kelly` and `hybrid`, (..., 2p) [N m/px^2]."""
+    return np.tile(omega**2 / machine.pointing, len(machine.weights) // 2)
 
 
 def _hybrid(machine: Machine, omega: Array, zeta: Array) -> dict[str, Array]:
@@ -188,7 +207,7 @@ def _hybrid(machine: Machine, omega: Array, zeta: Array) -> dict[str, Array]:
 
 
 def _composite(machine: Machine, omega: Array, zeta: Array) -> dict[str, Array]:
-    stiffness, uptake = omega**2 * machine.inertia, _UPTAKE * omega
+    stiffness, uptake = omega**2 * machine.inertia, UPTAKE * omega
     return {
         "kp": _IMAGE * _image_stiffness(machine, omega),
         "kv": _STICTION * stiffness * machine.distance,

@@ -1,0 +1,75 @@
+"""Fitted gains are for the axes one by one: what an inertia that couples the axes makes of the time to settle."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.linalg import expm
+
+from hexservo import _core
+from hexservo.scenario.arrays import Array
+from hexservo.scenario.fitted import UPTAKE, Machine
+
+_BAND = 0.05  # of the largest image error at the start
+_STEPS = 200  # in a period of the bandwidth
+_PERIODS = 3.0  # in which an error has to settle, with a damping of 1
+
+
+def settling_ratio(machine: Machine, law: str, damping: float) -> float:
+    """Return how long the image error takes to 5 %, over the same without products of the inertia.
+
+    Of the fitted gains of a law with viscous damping, from home at rest, to first order about the goal: with S its
+    spring and, of `composite`, the adaptation A as springs with an integral (docs/gains.md),
+    D-bar e'' + K_d e' + S e + p = 0 with p' = A (e' + Lambda e). Of the points that count.
+
+    1 where the law has no such damping or the inertia no products; infinite where the error does not settle within
+    three periods times the damping, at least 1. NaN where it does not without products, and where no pose shows the
+    goal image.
+    """
+    parts = _core.LAW_TRAITS[law].parts
+    diagonal = np.diag(machine.inertia)
+    if "damping" not in parts or "coriolis_feedforward" in parts or np.array_equal(machine.mass, diagonal):
+        return 1.0
+    if not np.isfinite(machine.displacement).all():
+        return math.nan
+    uptake = UPTAKE if "fuzzy" in parts else 0.0
+    spring = diagonal
+    if not _core.LAW_TRAITS[law].pose_error:  # J^T W K_p J
+        stiffness = machine.weights * np.tile(1.0 / machine.pointing, len(machine.weights) // 2)
+        spring = machine.jacobian.T @ (stiffness[:, None] * machine.jacobian)
+    scale = np.sqrt(np.tile(machine.inertia, (6, 1)) * machine.inertia[:, None])  # of one unit for all axes
+    root = np.sqrt(machine.inertia)
+    seen = machine.jacobian[machine.weights > 0.0] / root
+    coupled, alone = (
+        _settling(mass / scale, spring / scale, damping, uptake, seen, root * machine.displacement)
+        for mass in (machine.mass, diagonal)
+    )
+    return coupled / alone if math.isfinite(alone) else math.nan
+
+
+def _settling(mass: Array, spring: Array, damping: float, uptake: float, seen: Array, start: Array) -> float:
+    """Return when `seen @ e` is within the band for good, in units of 1/omega; infinite where it is not.
+
+    In units in which the diagonal of the inertia is 1.
+    """
+    size = len(mass)
+    zero, one = np.zeros_like(mass), np.eye(size)
+    adaptation = 2.0 * damping * uptake  # A
+    rate = 1.0 / (2.0 * damping)  # Lambda
+    motion = np.block(
+        [
+            [zero, one, zero],
+            np.split(-np.linalg.solve(mass, np.hstack([spring, (2.0 * damping + uptake) * one, one])), 3, axis=1),
+            [adaptation * rate * one, adaptation * one, zero],
+        ]
+    )
+    step = 2.0 * math.pi / _STEPS * max(damping, 1.0)
+    onwards = expm(step * motion)
+    state = np.concatenate([start, np.zeros(2 * size)])
+    errors = []
+    for _ in range(int(_PERIODS * _STEPS)):
+        errors.append(float(np.abs(seen @ state[:size]).max()))
+        state = onwards @ state
+    outside = np.flatnonzero(np.array(errors) > _BAND * errors[0])
+    return step * float(outside[-1] + 1) if len(outside) and outside[-1] + 1 < len(errors) else math.inf
