@@ -310,7 +310,7 @@ TEST_CASE("a point beyond the gate from where the joints expect it is lost, unti
       right.features.segment<2>(0).swap(right.features.segment<2>(2));
       return right;
     };
-    eye.tick(0, exchanged_in(image));  // one image by itself is not believed
+    eye.tick(0, exchanged_in(image));  // one image by itself is not taken
     REQUIRE_FALSE(eye.seen().complete);
     eye.tick(1, image);
     REQUIRE_FALSE(eye.seen().complete);

@@ -257,7 +257,7 @@ LAYOUTS = {
 
 
 def test_structs_are_those_of_the_number_of_the_interface(library: ctypes.CDLL, tmp_path: Path) -> None:
-    """A program that was compiled with another layout is told by the number alone: change both, or neither."""
+    """Only the number shows a program that it was compiled with another layout: change both, or neither."""
     compiler = shutil.which("cc") or shutil.which("gcc")
     if compiler is None:
         pytest.skip("no C compiler is installed")

@@ -381,7 +381,7 @@ def test_names_in_code_spans_occur_in_the_sources(page: Path) -> None:
 def scenario_keys() -> frozenset[str]:
     """Dotted paths of all scenario keys, read from the classes that define them."""
     folder = ROOT / "python" / "hexservo" / "scenario"
-    texts = [(folder / name).read_text(encoding="utf-8") for name in ("blocks.py", "laws.py", "motion.py")]
+    texts = [(folder / name).read_text(encoding="utf-8") for name in ("blocks.py", "drives.py", "laws.py", "motion.py")]
 
     def kind_of(annotation: ast.expr) -> str:  # the name of a block, Annotated[Block, ...] or not
         if isinstance(annotation, ast.Subscript) and isinstance(annotation.slice, ast.Tuple):

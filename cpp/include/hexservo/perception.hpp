@@ -287,7 +287,7 @@ class Perception {
 
   /// Takes over what the sensors gave.
   void update(const Sensing<S, N>& sensing, const SensorInput<S, N>& input) noexcept {
-    follow_clock(input.now);
+    follow_clock(sensing, input.now);
     sense_joints(sensing, input);
     if (lifts_points(sensing.frames) && any(now_.usable & now_.joints))
       history_.add(input.now, now_.pose, now_.usable & now_.joints);
@@ -340,13 +340,16 @@ class Perception {
   static constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
   /// The joints are read at every tick, whether or not the clock is usable: where it fails, and where it comes back, a
-  /// period has passed since the tick before. One that stands still for long fails as one that goes back does.
-  void follow_clock(double now) noexcept {
+  /// period has passed since the tick before. One that stands still fails where a rate, an age or a prediction depends
+  /// on it.
+  void follow_clock(const Sensing<S, N>& sensing, double now) noexcept {
     const bool first = clock_ == -kInfinity;
     const bool advances = std::isfinite(now) && now > clock_, stands = now == clock_ && !first;
     const double missed = clock_failed_ ? 1.0 : static_cast<double>(standing_) + 1.0;  // ticks that it did not count
     standing_ = stands ? std::min(standing_ + 1, kStandingTicks + 1) : 0;
-    const bool usable = advances || (stands && standing_ <= kStandingTicks);
+    const bool counts = sensing.pose_source == PoseSource::encoders || lifts_points(sensing.frames) ||
+                        any(sensing.frames.timeout < S(kInfinity));
+    const bool usable = advances || (stands && (!counts || standing_ <= kStandingTicks));
     joint_time_ += !usable || clock_failed_ ? missed : first ? 0.0 : now - clock_;
     clock_failed_ = !usable;
     if (advances) clock_ = now;

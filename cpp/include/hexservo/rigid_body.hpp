@@ -148,20 +148,6 @@ Pose<S> select_pose(const Mask<S>& where, const Pose<S>& yes, const Pose<S>& no)
   return {select(where, yes.position, no.position), select(where, yes.quaternion, no.quaternion)};
 }
 
-/// Of three positions and of three attitudes the one that is not an end of the longest distance: whichever of the
-/// three is far off, it is not that. The first one where all are the same.
-template <class S>
-Pose<S> middle_pose(const Pose<S>& a, const Pose<S>& b, const Pose<S>& c) {
-  const Vector6<S> ab = pose_difference(a, b), bc = pose_difference(b, c), ca = pose_difference(c, a);
-  const auto middle = [](const auto& u, const auto& v, const auto& w, const S& uv, const S& vw, const S& wu) {
-    return select((vw >= uv) & (vw >= wu), u, select(wu >= uv, v, w));
-  };
-  return {middle(a.position, b.position, c.position, S(ab.template head<3>().squaredNorm()),
-                 S(bc.template head<3>().squaredNorm()), S(ca.template head<3>().squaredNorm())),
-          middle(a.quaternion, b.quaternion, c.quaternion, S(ab.template tail<3>().squaredNorm()),
-                 S(bc.template tail<3>().squaredNorm()), S(ca.template tail<3>().squaredNorm()))};
-}
-
 /// The same pose with a quaternion of unit length.
 template <class S>
 Pose<S> unit_pose(const Pose<S>& pose) noexcept {

@@ -6,8 +6,8 @@
 ///
 /// K_s and K_h are diagonal as given, and multiples of D-bar where they are derived: with its diagonal alone the brake
 /// of a platform whose centre of mass is far off E's origin is unstable. chi_stop is the pose of the first tick of the
-/// stretch, from its third one on the middle one of the first three: a reading that is wrong by itself is not held.
-/// Where pose or twist are not known either, tau = G, with the leg forces of the last pose that was.
+/// stretch; that of the second one, where the third shows that the first was wrong by itself. Where pose or twist are
+/// not known either, tau = G, with the leg forces of the last pose that was.
 #pragma once
 
 #include "hexservo/commanded_motion.hpp"
@@ -87,6 +87,10 @@ struct Command {
   Mask<S> saturated;      ///< a leg force is beyond `SafetyGains::saturation_limit`
 };
 
+/// How many times as far as from the second pose without the law to the third one it may be from the first to the
+/// second: from tick to tick a platform that brakes goes less far, but not as much less.
+inline constexpr double kStopJump = 3.0;
+
 /// The safe wrench where the law's does not act.
 /// @param wrench of the law [N; N m]
 /// @param solver at the pose of the joint sensors
@@ -101,8 +105,17 @@ template <class S, int N>
   const auto is_tick = [&](double count) { return counts & (state.braked == S(count)); };
   state.stop_pose = select_pose(is_tick(1.0), seen.pose, state.stop_pose);
   state.later_pose = select_pose(is_tick(2.0), seen.pose, state.later_pose);
-  state.stop_pose =
-      select_pose(is_tick(3.0), middle_pose(state.stop_pose, state.later_pose, seen.pose), state.stop_pose);
+  if (const Mask<S> third = is_tick(3.0); any(third)) {
+    const Vector6<S> first = pose_difference(state.stop_pose, state.later_pose);
+    const Vector6<S> next = pose_difference(state.later_pose, seen.pose);
+    const auto is_wrong = [&](const auto& way, const auto& next_way) {
+      return third & (way.squaredNorm() > S(kStopJump * kStopJump) * next_way.squaredNorm());
+    };
+    state.stop_pose.position = select(is_wrong(first.template head<3>(), next.template head<3>()),
+                                      state.later_pose.position, state.stop_pose.position);
+    state.stop_pose.quaternion = select(is_wrong(first.template tail<3>(), next.template tail<3>()),
+                                        state.later_pose.quaternion, state.stop_pose.quaternion);
+  }
   const Vector6<S> weight = gravity_wrench(gains.body, seen.R_BE);
   const Vector6<S> away = pose_difference(state.stop_pose, seen.pose);
   const Vector6<S> wanted = gains.safe.hold_rate * away - gains.safe.damping_rate * seen.twist;  // chi-ddot

@@ -191,11 +191,12 @@ def _of_coupling(scene: Scene, key: str, damping: float) -> Iterator[str]:
     ratio = settling_ratio(machine_of(scene.scenario), scene.scenario.controller.law, damping)
     least, most = _COUPLED
     if ratio < least or ratio > most:  # not where it is not a number
+        decoupling = [law for law, traits in _core.LAW_TRAITS.items() if "coriolis_feedforward" in traits.parts]
         time = f"in {number(ratio, 2)} times the time" if math.isfinite(ratio) else "beyond the time"
         yield (
             f"{key} is fitted axis by axis, but the inertia couples the axes (robot.centre_of_mass, "
             f"robot.payload.position, products in robot.inertia): the image error settles {time} of uncoupled axes; "
-            "computed_torque takes the coupling out"
+            f"{' or '.join(decoupling)} takes the coupling out"
         )
 
 

@@ -48,7 +48,7 @@ def result_bytes(result: Result) -> memoryview:
 
 
 def problem_of_values(arrays: Mapping[Any, Array]) -> str | None:
-    """Return in words what no run has in its arrays: numbers that are not finite, decreasing times and the like."""
+    """Describe what no run has in its arrays: numbers that are not finite, decreasing times and the like."""
     for name, values in arrays.items():
         if not np.isfinite(values).all():
             return f"{name}, which has numbers that are not finite"
