@@ -17,7 +17,7 @@ from hexservo.findings.identification.changes import changes_of
 from hexservo.findings.identification.drives import MOST_DELAY, fit_drives
 from hexservo.findings.identification.log import Log
 from hexservo.findings.identification.motors import _finished, _fitted, _Plant, _values, fit_motors
-from hexservo.scenario.blocks import Motors
+from hexservo.scenario.drives import Motors
 from hexservo.scenario.leg_units import leg_units
 from hexservo.scenario.parameters import core_parameters
 from test_identification import commands_of, within
