@@ -16,7 +16,7 @@ from scipy.linalg import expm
 
 import hexservo as hs
 from hexservo import _core  # for the image of the target, of which there is one copy
-from hexservo.scenario.parameters import core_parameters
+from hexservo.scenario.parameters import core_parameters, frame_period
 from position_machines.clock import Clock
 from position_machines.kinematics import Kinematics
 from position_machines.servo import Frame
@@ -115,7 +115,7 @@ class SimulatedMachine:
     def _advance(self, at: float | None = None) -> None:
         target = int(((self._clock.now() if at is None else at) - self._start) / _STEP + 1e-6)
         camera = self.scenario.camera
-        period = round((camera.period or _STEP) / _STEP)
+        period = round(frame_period(self.scenario) / _STEP)
         while self._steps < target:
             if self._steps // period > self._exposed:
                 self._exposed = self._steps // period

@@ -149,7 +149,7 @@ export class Chart {
   /** The values where the pointer is, in any of the charts, else those of now. */
   tell() {
     const { data, cursor } = this.plot;
-    const row = cursor.idx ?? this.row;
+    const row = Math.min(cursor.idx ?? this.row, data[0].length - 1); // of a pointer in what was a longer run
     write(this.when, `${data[0][row].toFixed(3)} s`);
     this.values.forEach((value, i) => write(value, short(data[i + 1][row], 3)));
   }

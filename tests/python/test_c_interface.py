@@ -244,6 +244,8 @@ def client(path: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 LAYOUTS = {
     3: {
+        "hexservo_key": "name 0 unit 8 type 16 columns 24 optional 28 sampled 32 maximum 48 below 60 choice_count 64 "
+        "choices 72 size 80",
         "hexservo_scene": "base_joints 0 platform_joints 144 home_position 288 home_quaternion 312 camera_position 344 "
         "camera_attitude 368 focal 440 camera_on_base 448 size 456",
         "hexservo_gains_memory": "place 0 size 12288",

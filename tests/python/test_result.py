@@ -67,18 +67,6 @@ def test_arrays_are_plain(result: hs.Result, name: str) -> None:
     assert np.isfinite(array).all()
 
 
-def test_arrays_are_read_only_and_their_copies_are_not(paper: hs.Scenario) -> None:
-    result = hs.simulate(paper.updated({"simulation.duration": 0.01}), log_weights=True)
-    dataset = result.to_xarray()
-    arrays = [name for name, value in vars(result).items() if isinstance(value, np.ndarray)]
-    assert {"time", "position", "fuzzy_weights", "weight_history"} < set(arrays)
-    for name in arrays:
-        with pytest.raises(ValueError, match="read-only"):
-            getattr(result, name)[...] = 0.0
-        if name != "time":
-            dataset[name][...] = 0.0
-
-
 @pytest.mark.parametrize("log_weights", ["no", 1, None, np.array([1, 2])])
 def test_whether_weights_are_logged_is_a_boolean(paper: hs.Scenario, log_weights: Any) -> None:
     with pytest.raises(TypeError, match=r"^log_weights: expected True or False, got"):

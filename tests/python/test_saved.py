@@ -189,12 +189,6 @@ def test_what_would_not_be_read_back_is_not_written(
     assert not list(tmp_path.iterdir())
 
 
-def test_arrays_that_were_read_are_read_only(limited: hs.Result, tmp_path: Path) -> None:
-    limited.save(tmp_path / "run.nc")
-    with pytest.raises(ValueError, match="read-only"):
-        hs.load_result(tmp_path / "run.nc").position[...] *= 1000.0
-
-
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(hs.ResultError, match=r"none\.nc.*expected a file that can be read, got: No such file"):
         hs.load_result(tmp_path / "none.nc")

@@ -249,6 +249,7 @@ struct Perceived {
   S newest;           ///< exposure of the newest frame [ticks]; -infinity before the first
   Mask<S> unsensed;   ///< the newest leg lengths belong to no pose near the one before, which then still stands
   Mask<S> joints;     ///< pose and twist are numbers to act on
+  Mask<S> read;       ///< of the leg lengths of this tick; not where the pose is measured as such
   Mask<S> complete;   ///< every point has been seen at least once
   Mask<S> fresh;      ///< no point's image is older than the timeout
   Mask<S> whole;      ///< the newest frame shows every point
@@ -275,7 +276,8 @@ class Perception {
     now_.newest = S(-kInfinity);
     // Not used before the first tick; but a state may be copied before it, and a mask without a value may not.
     now_.R_BE.setIdentity();
-    now_.unsensed = now_.joints = now_.complete = now_.fresh = now_.whole = now_.lost = now_.usable = Mask<S>(false);
+    now_.unsensed = now_.joints = now_.read = now_.complete = now_.fresh = now_.whole = now_.lost = now_.usable =
+        Mask<S>(false);
     held_ = now_.image;
     seen_at_.setConstant(S(-kInfinity));
     lost_.setZero();
@@ -357,6 +359,7 @@ class Perception {
   }
 
   void sense_joints(const Sensing<S, N>& sensing, const SensorInput<S, N>& input) noexcept {
+    now_.read = Mask<S>(false);
     if (sensing.pose_source == PoseSource::truth) {
       now_.pose = input.pose;
       now_.twist = input.twist;
@@ -388,6 +391,7 @@ class Perception {
     const Mask<S> known = reads & found.converged;
     now_.unsensed = (now_.unsensed & (!reads)) | (reads & (!found.converged));
     now_.pose = select_pose(known, found.pose, now_.pose);
+    now_.read = known;
 
     Vector6<S> rates = input.joints.rates;
     Mask<S> rated = known;

@@ -5,9 +5,9 @@
 ///     tau = G - K_s chi-dot - K_h (chi (-) chi_stop)
 ///
 /// K_s and K_h are diagonal as given, and multiples of D-bar where they are derived: with its diagonal alone the brake
-/// of a platform whose centre of mass is far off E's origin is unstable. chi_stop is the pose of the first tick of the
-/// stretch; that of the second one, where the third shows that the first was wrong by itself. Where pose or twist are
-/// not known either, tau = G, with the leg forces of the last pose that was.
+/// of a platform whose centre of mass is far off E's origin is unstable. chi_stop is the first measured pose of
+/// the stretch; the second one, where the third shows that the first was wrong by itself. Where pose or twist are not
+/// known either, tau = G, with the leg forces of the last pose that was.
 #pragma once
 
 #include "hexservo/commanded_motion.hpp"
@@ -55,8 +55,8 @@ struct SafetyState {
   Perception<S, N> perception;
   Pose<S> last_pose;   ///< the last one that was known and not singular; home before the first
   Pose<S> stop_pose;   ///< chi_stop
-  Pose<S> later_pose;  ///< of the second tick of a stretch without the law
-  S braked{0.0};       ///< ticks of that stretch at which the pose was known; 0 where the law acts
+  Pose<S> later_pose;  ///< the second measured pose of a stretch without the law
+  S braked{0.0};       ///< measured poses of that stretch; 0 where the law acts
   CommandedMotion<S> motion;
   Perceived<S, N> carried{};  ///< what a virtual platform sees, where there is one; computed at each tick
 
@@ -90,6 +90,7 @@ struct Command {
 /// How many times as far as from the second pose without the law to the third one it may be from the first to the
 /// second: from tick to tick a platform that brakes goes less far, but not as much less.
 inline constexpr double kStopJump = 3.0;
+inline constexpr double kLeastStopJump = 1e-9;  ///< [m; rad]: what is less is rounding
 
 /// The safe wrench where the law's does not act.
 /// @param wrench of the law [N; N m]
@@ -100,7 +101,16 @@ template <class S, int N>
                                               Command<S>& out) noexcept {
   const Perceived<S, N>& seen = state.perception.now();
   const Mask<S> known = seen.joints & (!out.singular);
-  const Mask<S> counts = known & (!out.acts);
+  // A pose that stays as it is between two readings is measured once.
+  const auto differs = [&](const Pose<S>& pose) {
+    return Mask<S>((seen.pose.position - pose.position).squaredNorm() +
+                       (seen.pose.quaternion - pose.quaternion).squaredNorm() >
+                   S(0.0));
+  };
+  const Mask<S> begins = !(state.braked > S(0.5)), second = state.braked < S(1.5);
+  const Mask<S> is_new =
+      begins | seen.read | (second & differs(state.stop_pose)) | ((!second) & differs(state.later_pose));
+  const Mask<S> counts = known & (!out.acts) & is_new;
   state.braked = select(out.acts, S(0.0), select(counts, S(state.braked + S(1.0)), state.braked));
   const auto is_tick = [&](double count) { return counts & (state.braked == S(count)); };
   state.stop_pose = select_pose(is_tick(1.0), seen.pose, state.stop_pose);
@@ -109,7 +119,8 @@ template <class S, int N>
     const Vector6<S> first = pose_difference(state.stop_pose, state.later_pose);
     const Vector6<S> next = pose_difference(state.later_pose, seen.pose);
     const auto is_wrong = [&](const auto& way, const auto& next_way) {
-      return third & (way.squaredNorm() > S(kStopJump * kStopJump) * next_way.squaredNorm());
+      return third & (way.squaredNorm() > S(kLeastStopJump * kLeastStopJump)) &
+             (way.squaredNorm() > S(kStopJump * kStopJump) * next_way.squaredNorm());
     };
     state.stop_pose.position = select(is_wrong(first.template head<3>(), next.template head<3>()),
                                       state.later_pose.position, state.stop_pose.position);

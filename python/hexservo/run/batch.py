@@ -29,7 +29,7 @@ from hexservo.run.variations import (
     fitted_variations,
     unit_of_varied,
 )
-from hexservo.scenario.arrays import Array, read_only
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.fields import described
 from hexservo.scenario.leg_units import unit_of
 from hexservo.scenario.parameters import core_parameters
@@ -63,8 +63,8 @@ _MAX_THREADS = 1024
 class BatchResult:
     """Results of n scenarios, in the order of their variations. Axis 0 of every array is the scenario.
 
-    Frames and orders: docs/model.md section 1. Arrays are read-only and share the batch's memory: take a copy of
-    what is to be changed.
+    Frames and orders: docs/model.md section 1. Arrays share the batch's memory: take a copy of what is to be
+    changed.
     """
 
     scenario: Scenario  # what the variations vary
@@ -281,7 +281,7 @@ def simulate_batch(
     arrays = checked_variations(scenario, variations)
     count = max(len(values) for values in arrays.values())
     if controller is not None:
-        return _read_only(_run_custom(scenario, arrays, count, log, threads, progress, controller, asked))
+        return _run_custom(scenario, arrays, count, log, threads, progress, controller, asked)
     varied = fitted_variations(scenario, arrays)
     rows = [(key, np.ascontiguousarray(values.reshape(len(values), -1))) for key, values in varied.items()]
     with _reporting(progress) as report:
@@ -291,7 +291,7 @@ def simulate_batch(
     samples = dict(run.samples)
     if run.fuzzy_weights is not None:
         samples["fuzzy_weights"] = run.fuzzy_weights
-    found = BatchResult(
+    return BatchResult(
         scenario=scenario,
         variations=arrays,
         outcome=_OUTCOMES[run.outcome],
@@ -303,15 +303,6 @@ def simulate_batch(
         samples=samples,
         time=run.time,
     )
-    return _read_only(found)
-
-
-def _read_only(batch: BatchResult) -> BatchResult:
-    """Return a batch after its arrays were made read-only."""
-    alone = (batch.outcome, batch.cause, batch.limit_leg, batch.end_time, batch.stop_time, batch.time)
-    for array in (*alone, *batch.variations.values(), *batch.metrics.values(), *batch.samples.values()):
-        read_only(array)
-    return batch
 
 
 # ---- A custom controller --------------------------------------------------------------------------------------------
@@ -348,7 +339,7 @@ def _run_custom(
     size = 8 * count * (sum(math.prod(shape) for shape in shapes.values()) + len(metrics))
     if size > _MAX_BYTES:
         raise ValueError(f"log: expected a result of at most 2 GiB, got {size / 2**30:.3g} GiB")
-    found = BatchResult(
+    return BatchResult(
         scenario=scenario,
         variations=arrays,
         outcome=np.full(count, "interrupted", dtype=_OUTCOMES.dtype),

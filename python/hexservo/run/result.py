@@ -117,8 +117,8 @@ class LimitEvent:
 class Result:
     """Samples of one run, on the grid that ``simulation.log_every`` asks for; the last good sample is always there.
 
-    Frames and orders: docs/model.md section 1. Arrays are C-contiguous, read-only and share the run's memory: copy what
-    is to be changed.
+    Frames and orders: docs/model.md section 1. Arrays are C-contiguous and are all that the run has: copy what is to be
+    changed, such as units. (They are writable since SciPy's rotations take no others.)
     """
 
     scenario: Scenario  # that was run

@@ -13,7 +13,7 @@ from hexservo.run.metrics import METRICS
 from hexservo.run.result import LimitEvent, LimitKind, Outcome, Result, quantities
 from hexservo.run.saving import EVENT_HEAD, HISTORY, problem_of_values
 from hexservo.run.sealed import ResultError, line_of, refuse_changed, sealed_blocks, shown_path
-from hexservo.scenario.arrays import Array, read_only
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.reading import open_regular
 from hexservo.scenario.wording import quoted
 from hexservo.scenario.yaml import ScenarioError
@@ -67,7 +67,7 @@ def _parsed(content: bytes, place: str) -> tuple[dict[str, Array], dict[str, Any
                 data = file[name]
                 if data.dtype != np.float64 or data.nbytes > len(content):  # more than was written
                     refuse_changed(place, f"variable {name}")
-                arrays[name] = read_only(np.ascontiguousarray(data[...]))
+                arrays[name] = np.ascontiguousarray(data[...])
     except ResultError:
         raise
     except Exception as error:  # whatever HDF5 and its wrappers raise

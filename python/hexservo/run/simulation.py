@@ -11,7 +11,6 @@ from hexservo.run.custom_controller import OwnController, function_name, run_wit
 from hexservo.run.metrics import METRICS
 from hexservo.run.result import LimitEvent, LimitKind, Outcome, Result, quantities
 from hexservo.run.variant import chosen_kernel
-from hexservo.scenario.arrays import read_only
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario, require_scenario
 from hexservo.scenario.wording import wrong_type
@@ -68,7 +67,7 @@ def simulate(scenario: Scenario, *, controller: OwnController | None = None, log
         detail=run.detail,
         events=tuple(_limit_event(event, scenario.robot.legs == "rotary") for event in run.events),
         streamed_metrics={name: getattr(run.metrics, name) for name in METRICS},
-        **{name: read_only(getattr(run, name)) for name in arrays},
+        **{name: getattr(run, name) for name in arrays},
     )
 
 

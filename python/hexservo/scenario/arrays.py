@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from numbers import Real
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,14 +11,6 @@ from numpy.typing import NDArray
 Array: TypeAlias = NDArray[np.float64]
 Complex: TypeAlias = NDArray[np.complex128]
 Mask: TypeAlias = NDArray[np.bool_]
-_Given = TypeVar("_Given", bound=NDArray[Any] | None)
-
-
-def read_only(array: _Given) -> _Given:
-    """Return an array, or None, after it was made read-only: an entry that is assigned raises a `ValueError`."""
-    if array is not None:
-        array.setflags(write=False)
-    return array
 
 
 def real_numbers(given: Any) -> Array | None:

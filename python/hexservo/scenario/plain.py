@@ -44,8 +44,13 @@ def _of_numpy(value: Any, place: str) -> Any:
     if isinstance(value, memoryview) or (hasattr(value, "__array__") and not isinstance(value, type | np.generic)):
         if np.ma.is_masked(value):  # which a list would have as null
             raise ScenarioError(f"{place}: expected a value without a mask, got a masked one; fill it in")
+        if any(hasattr(value, name) for name in ("units", "magnitude")):
+            raise ScenarioError(f"{place}: expected plain numbers, got a value with a unit of its own; convert it")
         if not isinstance(value, np.ndarray):
-            numbers = np.asarray(value)
+            try:
+                numbers = np.asarray(value)
+            except Exception:  # whatever the other library raises: it is refused as what it is
+                return value
             value = numbers if numbers.dtype.kind in "biuf" else value
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()

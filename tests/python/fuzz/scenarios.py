@@ -173,8 +173,8 @@ def _clocks(random: Generator, step: float) -> dict[str, Any]:
     """Draw times that are whole numbers of servo periods, with a timeout that allows them."""
     ticks = {key: int(_one(random, [0, 1, int(random.integers(0, most + 1)), most])) for key, most in IN_STEPS.items()}
     times: dict[str, Any] = {key: count * step for key, count in ticks.items()}
-    times["camera.period"] = max(ticks["camera.period"], 1) * step
-    times["sensors.period"] = times["sensors.period"] or None
+    for key in ("camera.period", "sensors.period"):
+        times[key] = times[key] or None
     times["uncertainty.latency"] = step * _one(random, [0, int(random.integers(-ticks["camera.latency"], 11))])
     oldest = max(ticks["camera.period"], 1) + ticks["camera.latency"] + ticks["camera.latency_jitter"]
     times["camera.timeout"] = _one(random, [None, (oldest + int(random.integers(0, 30))) * step])

@@ -39,9 +39,7 @@ class Identification(Findings):
     camera: CameraFit | None  # None where the log has no image
     motors: MotorFit | None = None  # None where they were not asked for, or not all legs moved
     rounded: dict[str, Any] = field(default_factory=dict)  # times of the machine in whole ticks of the log, likewise
-    faults: dict[str, Any] = field(
-        default_factory=dict
-    )  # keys of what is wrong with the log's exposure times, likewise
+    faults: dict[str, Any] = field(default_factory=dict)  # keys of wrong times of exposure, likewise
     end: LogEnd | None = None  # how far from the goal the log ends; None where it has no image of the goal's points
 
     @property
