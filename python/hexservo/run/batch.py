@@ -339,7 +339,7 @@ def _run_custom(
     size = 8 * count * (sum(math.prod(shape) for shape in shapes.values()) + len(metrics))
     if size > _MAX_BYTES:
         raise ValueError(f"log: expected a result of at most 2 GiB, got {size / 2**30:.3g} GiB")
-    return BatchResult(
+    found = BatchResult(
         scenario=scenario,
         variations=arrays,
         outcome=np.full(count, "interrupted", dtype=_OUTCOMES.dtype),
