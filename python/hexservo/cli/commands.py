@@ -410,14 +410,13 @@ def _comparison_report(
 
 def _comparison_tables(comparison: hs.Comparison) -> Iterator[RenderableType]:
     """Return as many tables as the columns need, or a list if not even one column fits."""
-    from hexservo.run.comparison import COLUMNS, metric_text, shared_unit
+    from hexservo.run.comparison import COLUMNS, column_texts
 
     labels = [("scenario", "law", "verdict"), *((row.scenario.name, row.law, row.verdict) for row in comparison.rows)]
     left = [max(map(len, texts)) + _GAP for texts in zip(*labels, strict=True)]
     columns = []
     for column in COLUMNS:
-        unit = shared_unit(comparison.rows, column)
-        texts = [metric_text(row, column, with_unit=not unit) for row in comparison.rows]
+        unit, texts = column_texts(comparison.rows, column)
         columns.append([column.head, f"[{unit}]" if unit else "", *texts])
     parts: list[list[list[str]]] = []
     room = -1
@@ -458,10 +457,11 @@ def _comparison_table(comparison: hs.Comparison, columns: list[list[str]], *, ve
 def _comparison_list(comparison: hs.Comparison) -> RenderableType:
     from rich.text import Text
 
-    from hexservo.run.comparison import COLUMNS, metric_text
+    from hexservo.run.comparison import COLUMNS, column_texts
 
     lines = []
-    for row in comparison.rows:
+    columns = [column_texts(comparison.rows, column, with_units=True)[1] for column in COLUMNS]
+    for row, *texts in zip(comparison.rows, *columns, strict=True):
         lines.append(f"{row.scenario.name}, {row.law}: {row.verdict}")
-        lines += [f"  {column.head}: {metric_text(row, column, with_unit=True)}" for column in COLUMNS]
+        lines += [f"  {column.head}: {text}" for column, text in zip(COLUMNS, texts, strict=True)]
     return Text("\n".join(lines))
