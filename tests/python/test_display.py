@@ -175,7 +175,7 @@ def test_text_is_a_few_lines(returned: dict[str, Any]) -> None:
 def test_text_says_what_came_out(returned: dict[str, Any]) -> None:
     run = repr(returned["Result"])
     assert run.startswith('Result of "paper"\n')
-    assert f"{hs.metrics(returned['Result'])['final_error']:.3g} px" in run
+    assert f"{hs.metrics(returned['Result'])['final_error']:.4g} px" in run
     assert "401 samples" in run
     batch = repr(returned["BatchResult"])
     assert batch.startswith('3 runs of "paper", law hybrid\n')

@@ -32,6 +32,7 @@ from hexservo.cli.terminal import (
     errors_as_messages,
     expanded,
     load,
+    no_dash,
     refusals,
     show_parts,
     spell_time,
@@ -87,7 +88,13 @@ def run(
     scenario: ScenarioArgument,
     out: Annotated[
         str | None,
-        typer.Option("--out", "-o", metavar="FOLDER", help="Write figures and data there, into a new or empty folder."),
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="FOLDER",
+            callback=no_dash,
+            help="Write figures and data there, into a new or empty folder.",
+        ),
     ] = None,
     settings: SettingsOption = None,
     camera: CameraOption = None,
@@ -154,7 +161,7 @@ def compare(
     camera: CameraOption = None,
     out: Annotated[
         str | None,
-        typer.Option("--out", "-o", metavar="FOLDER", help="Write tables and a page of plots there."),
+        typer.Option("--out", "-o", metavar="FOLDER", callback=no_dash, help="Write tables and a page of plots there."),
     ] = None,
     force: ForceOption = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print no table.")] = False,
@@ -283,7 +290,7 @@ def check(
 def bench(
     out: Annotated[
         str | None,
-        typer.Option("--out", "-o", metavar="FOLDER", help="Write bench.json and a picture there."),
+        typer.Option("--out", "-o", metavar="FOLDER", callback=no_dash, help="Write bench.json and a picture there."),
     ] = None,
     force: ForceOption = False,
     quick: Annotated[bool, typer.Option("--quick", help="A rougher measurement, in less than 15 s.")] = False,
