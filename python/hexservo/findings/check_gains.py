@@ -223,8 +223,8 @@ def _of_image(scene: Scene, key: str) -> Iterator[str]:
         share = share_of_prior(scene, machine)
         if share > _LEFT:
             yield (
-                f"controller.{law}.prior: with {number(100 * share, 2)} % of the image error at the start, image and "
-                "start pose balance; a smaller prior leaves less"
+                f"controller.{law}.prior: with {number(100 * share, 2)} % of the image error at the start, the image "
+                "and the pull towards home balance; a smaller prior leaves less"
             )
 
 
@@ -275,7 +275,7 @@ def turning_share(machine: Machine) -> float:
 
 
 def share_of_prior(scene: Scene, machine: Machine) -> float:
-    """Return the share of the largest feature error at the start with which image and start pose balance.
+    """Return the share of the largest feature error at the start with which the image and the pull to home balance.
 
     Of the points that count. Zero where no pose shows the goal image.
     """
@@ -288,9 +288,9 @@ def share_of_prior(scene: Scene, machine: Machine) -> float:
 def left_by_inverse(scene: Scene, machine: Machine) -> Array:
     """Return (J^T W J + M)^-1 M x, x from home to the goal, (6,) [m; rad]: what the estimated pose error leaves out.
 
-    To first order. With M a prior, J^T W xi-tilde = M (x - left) there, and e = 0: image and start pose balance. With M
-    a damping of the inverse, the law is slow from there on. NaN where no pose shows the goal image, or no inverse
-    exists.
+    To first order. With M a prior, J^T W xi-tilde = M (x - left) there, and e = 0: the image and the pull to home
+    balance. With M a damping of the inverse, the law is slow from there on. NaN where no pose shows the goal image, or
+    no inverse exists.
     """
     law = scene.scenario.controller.law
     gain = value_at(scene.scenario, f"controller.{law}.{_core.LAW_TRAITS[law].inverse}")
