@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hexservo.campaigns.judging import Judge
-from hexservo.campaigns.result import CampaignResult, command_with_changes
+from hexservo.campaigns.result import CampaignResult, command_with_changes, scenario_and_changes
 from hexservo.campaigns.store import WORST, require_own_scenario, write_scenario
 from hexservo.campaigns.words import of_common_noise
 from hexservo.findings.diagnosis import diagnose
@@ -159,8 +159,7 @@ def worst_case(
             search(columns, begin)
     law = judge.base.controller.law
     drawn = drawing.variations(drawing.numbers_at(place[None], start))
-    changes = drawing.base | changes_of_run(drawn, law)
-    scenario = plan.scenario.updated(changes)
+    scenario, changes = scenario_and_changes(plan.scenario, drawing.base | changes_of_run(drawn, law))
     write_scenario(result.folder / CASE, scenario.to_yaml())
     return WorstCase(
         scenario,
