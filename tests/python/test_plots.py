@@ -328,9 +328,9 @@ def test_numbers_of_many_points_keep_apart() -> None:
     pose = {"target.desired_pose": [0.08, 0.03, 0.04, 0.02, -0.02, 0.08], "simulation.duration": 2.0}
     run = hs.simulate(hs.load_scenario("moog-6dof2000e", {**goal, **pose, "metrics.rms_start": 0.0}))
     figure = plots.feature_paths(run)
-    renderer = FigureCanvasAgg(figure).get_renderer()
+    figure.canvas.draw()
     axes = figure.axes[-1]
-    boxes = [text.get_window_extent(renderer).get_points() for text in axes.texts]
+    boxes = [text.get_window_extent().get_points() for text in axes.texts]
     assert [text.get_text() for text in axes.texts] == [str(number) for number in range(1, 17)]
     marks = axes.transData.transform(
         np.concatenate(
