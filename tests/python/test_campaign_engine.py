@@ -148,6 +148,23 @@ def test_the_worst_runs_come_as_scenarios(whole: Path) -> None:
         result.scenario(RUNS)
 
 
+def test_a_run_too_long_for_a_log_has_a_scenario_that_runs(tmp_path: Path) -> None:
+    """With more steps per sample; the runs of the campaign end at once, since the law diverges."""
+    diverging = hs.load_scenario("paper", {"controller.jacobian": "printed"})
+    file = {
+        "scenario": diverging,
+        "vary": {"simulation.duration": {"choice": [0.5, 20000.0]}},
+        "require": ["final_error <= 1"],
+        "runs": 8,
+        "stream": 1,
+    }
+    result = hs.campaign(file, tmp_path / "out")
+    scenarios = [result.scenario(index) for index in range(len(result))]
+    logs = {scenario.simulation.duration: scenario.simulation.log_every for scenario in scenarios}
+    assert logs == {0.5: 1, 20000.0: 4}
+    assert {one.scenario.simulation.duration for one in result.worst()} == {0.5, 20000.0}
+
+
 def test_a_command_repeats_a_run_of_a_packaged_scenario(tmp_path: Path) -> None:
     vary = {
         "uncertainty.gravity": {"uniform": [-0.1, 0.1]},

@@ -146,6 +146,12 @@ def test_the_worst_case_of_a_campaign(tmp_path: Path) -> None:
     assert min(1 - peak / 0.006, 1 - hs.metrics(again)["peak_error"] / 80) == pytest.approx(case.margin, abs=1e-6)
     sentences = case.section().sentences
     assert "which proves no bound" in sentences[1]
+    assert not any("same noise" in sentence for sentence in sentences)  # none is random
+    shared = dataclasses.replace(case, common_noise=7).section()
+    assert shared.sentences[2].startswith(
+        "All runs have the same noise (seed 7): it is the worst case for that noise alone; "
+    )
+    assert shared.data["common_noise"] == 7
     same = hs.worst_case(result, runs=150, seed=3)
     assert (same.scenario, same.margin) == (case.scenario, case.margin)
 
@@ -182,6 +188,14 @@ def test_a_worse_run_outside_the_box_has_its_reason(tmp_path: Path) -> None:
         "worst-run.yaml has the campaign's own worst run, which is worse: outside of the box that is searched lies its "
         "uncertainty.gravity."
     )
+
+
+def test_a_worst_case_keeps_the_noise_that_all_runs_share(tmp_path: Path) -> None:
+    noisy = hs.load_scenario("noisy-camera", {"simulation.duration": 0.3, "seed": 7})
+    file = FILE | {"scenario": noisy, "runs": 2}
+    result = hs.campaign(file, tmp_path / "out")
+    assert result.plan.common_noise == 7
+    assert hs.worst_case(result, runs=4, restarts=1).common_noise == 7
 
 
 def test_a_worst_case_that_fails_has_a_diagnosis(tmp_path: Path) -> None:

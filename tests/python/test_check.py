@@ -409,6 +409,23 @@ def test_a_prior_that_first_moves_the_legs_out_of_reach(law: str) -> None:
     assert hs.metrics(hs.simulate(firm))["peak_leg_excursion"] < firm.robot.stroke
 
 
+def test_a_prior_that_pulls_a_run_off_its_goal(paper: hs.Scenario) -> None:
+    """A start on the goal, 8 mm from home: the run goes to where the note has it."""
+    still = {"controller.law": "composite", "uncertainty.depth": 0.0, "uncertainty.gravity": 0.0}
+    away = paper.updated({**still, "simulation.start.pose": [0.008, 0.0, 0.0, 0.0, 0.0, 0.0]})
+    scene = scene_of(away)
+    on_goal = away.updated({"target.desired_features": scene.view(scene.start).features.tolist()})
+    sentence = only(on_goal, "controller.composite.prior: the start is nearer to the goal image")
+    pixels, shift = (float(sentence.split(end)[0].split()[-1]) for end in (" px and", " mm and"))
+    found = hs.metrics(hs.simulate(on_goal.updated({"simulation.duration": 10.0})))
+    assert found["final_error"] == pytest.approx(pixels, rel=0.15)
+    assert found["peak_displacement"] == pytest.approx(1e-3 * shift, rel=0.15)
+    for other in (away, on_goal.updated({"simulation.start.pose": [0.0] * 6})):
+        assert not any("the start is nearer" in line for line in unlikely(other))
+    fitted = on_goal.updated({"controller.composite.auto.bandwidth": 5.0})
+    assert "px and" in only(fitted, "controller.composite.prior")
+
+
 def test_a_damped_inverse_that_first_moves_the_legs_out_of_reach() -> None:
     """With the numbers of the prior as its damping, and none without it."""
     prior = hs.load_scenario("pi-h824", TILTED).controller.composite.prior

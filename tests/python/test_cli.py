@@ -117,12 +117,15 @@ def test_run_prints_every_metric_in_units_people_read() -> None:
         rows[name] = rest.strip()
     assert [name.replace(" ", "_") for name in rows] == list(SHOWN)
     metrics = hs.metrics(hs.simulate(hs.load_scenario("paper")))
-    readable = {"m": "mm", "rad": "mrad", "m/s": "mm/s", "rad/s": "mrad/s", "N m": "mN m", "1": "%"}
     for name, (unit, meaning) in SHOWN.items():
         value, shown, said = re.split(r"  +", rows[name.replace("_", " ")])
         assert said == meaning
-        assert shown == readable.get(unit, unit)
-        scale = {"%": 100, unit: 1}.get(shown, 1000)
+        if unit == "1":
+            scale = 100.0
+            assert shown == "%"
+        else:
+            scale = {"": 1.0, "m": 1e3, "u": 1e6}[shown.removesuffix(unit)]
+            assert scale == 1.0 or 1.0 <= float(value) < 1000.0
         assert float(value) == pytest.approx(metrics[name] * scale, rel=5e-4)
     assert run.lines[1 + len(SHOWN) :] == ["no files written; --out FOLDER writes figures and data"]
 

@@ -25,7 +25,7 @@ import hexservo as hs
 from hexservo.cli.commands import app
 from hexservo.draw.style import our_style
 from hexservo.run import compare
-from hexservo.run.comparison import COLUMNS, metric_text
+from hexservo.run.comparison import COLUMNS, column_texts
 from hexservo.run.files import MARKER
 from hexservo.run.metrics import metric_unit, readable, unsettled
 from hexservo.run.summary import summary_sentences
@@ -144,15 +144,35 @@ def test_an_error_just_above_the_band_is_not_written_as_the_band(paper: hs.Scena
     assert f"The largest feature error at the end is {error} px." in summary_sentences(replace(result, scenario=near))
 
 
+def test_columns_have_the_unit_of_their_largest_number(comparison: hs.Comparison) -> None:
+    row = comparison.row("hybrid", "paper")
+    column = next(column for column in COLUMNS if column.metric == "peak_displacement")
+    large, small, rounding, none = (
+        replace(row, metrics={**row.metrics, "peak_displacement": value}) for value in (1.5, 2e-6, 1e-12, math.nan)
+    )
+    assert column_texts([large, small, rounding, none], column) == ("m", ["1.5", "2e-06", "<1e-9", "-"])
+    assert column_texts([small, rounding], column) == ("um", ["2", "<0.001"])
+    assert column_texts([small, none], column, with_units=True) == ("", ["2 um", "-"])
+
+
+def test_a_metric_has_the_unit_of_its_size(comparison: hs.Comparison) -> None:
+    robot = comparison.row("hybrid", "paper").scenario.robot
+    assert readable("peak_control_moment", 1032.4, robot) == ("1032", "N m")
+    assert readable("peak_displacement", 3.087e-4, robot) == ("308.7", "um")
+    assert readable("peak_leg_force", 0.3582, robot) == ("0.3582", "N")
+
+
 def test_rounding_is_not_written_as_a_result(comparison: hs.Comparison) -> None:
     row = comparison.row("hybrid", "paper")
     tiny = replace(row, metrics={**row.metrics, "final_error": 1.14e-13, "relative_overshoot": 1.55e-14})
-    by_name = {column.metric: metric_text(tiny, column) for column in COLUMNS}
+    by_name = {column.metric: column_texts([tiny], column)[1][0] for column in COLUMNS}
     assert (by_name["final_error"], by_name["relative_overshoot"]) == ("<1e-6", "<1e-6")
     assert "1.14e-13" in replace(comparison, rows=(tiny,)).to_csv()
     robot = row.scenario.robot
     assert readable("peak_line_deviation", 1.421e-14, robot) == ("<1e-6", "px")
-    assert readable("peak_rotation", 7.95e-14, robot) == ("<1e-6", "mrad")
+    assert readable("peak_rotation", 7.95e-14, robot) == ("<1", "nrad")
+    assert readable("peak_rotation", 7.95e-14, robot, largest=0.02) == ("<1e-6", "mrad")
+    assert readable("peak_displacement", 7.95e-14, robot, largest=2e-5) == ("<0.001", "um")
     assert [readable("final_error", value, robot)[0] for value in (0.0, 1e-6)] == ["0", "1e-06"]
     assert readable("peak_leg_force", 1e-12, robot) == ("1e-12", "N")
     result = hs.simulate(hs.load_scenario("paper").updated({"simulation.duration": 0.02}))
@@ -323,15 +343,26 @@ def test_a_limit_that_is_exceeded_has_a_mark(comparison: hs.Comparison) -> None:
 
 
 CRANKS, LEGS = "reachy-mini-motors", "paper"
-UNITS = {CRANKS: ("mN m", 1e3, "mrad"), LEGS: ("N", 1.0, "mm")}  # of the peaks of effort and travel
+UNITS = {CRANKS: ("mN m", 1e3, "rad"), LEGS: ("N", 1.0, "m")}  # of the peaks of effort and travel
 
 
 def shown_legs(row: hs.ComparisonRow, *, with_unit: bool) -> list[str]:
     """What the two columns of the legs show, without marks."""
-    effort, scale, travel = UNITS[row.scenario.name]
-    excursion = 1e3 * row.metrics["peak_leg_excursion"]
-    numbers = written(scale * row.metrics["peak_leg_force"]), "<1e-6" if excursion < 1e-6 else written(excursion)
+    effort, scale, _ = UNITS[row.scenario.name]
+    excursion = row.metrics["peak_leg_excursion"]
+    travel, per_unit = travel_unit(row)
+    numbers = (
+        written(scale * row.metrics["peak_leg_force"]),
+        "<1" if excursion < 1e-9 else written(per_unit * excursion),
+    )
     return [f"{text} {unit}" if with_unit else text for text, unit in zip(numbers, (effort, travel), strict=True)]
+
+
+def travel_unit(row: hs.ComparisonRow) -> tuple[str, float]:
+    """The unit in which a row alone shows its travel, and how many of it make one of the metric's."""
+    excursion = row.metrics["peak_leg_excursion"]
+    prefix, scale = ("m", 1e3) if excursion >= 1e-3 else ("u", 1e6) if excursion >= 1e-6 else ("n", 1e9)
+    return f"{prefix}{UNITS[row.scenario.name][2]}", scale
 
 
 @pytest.mark.parametrize("names", [[CRANKS], [LEGS], [CRANKS, LEGS]])
@@ -343,7 +374,7 @@ def test_units_follow_the_legs(names: list[str], monkeypatch: pytest.MonkeyPatch
     mixed = len(names) > 1
     heads = ["leg force", "stroke"]
     if not mixed:
-        heads = [f"leg force [{UNITS[names[0]][0]}]", f"stroke [{UNITS[names[0]][2]}]"]
+        heads = [f"leg force [{UNITS[names[0]][0]}]", f"stroke [{travel_unit(comparison.rows[0])[0]}]"]
     first, _, *lines = (line.split(" | ") for line in comparison.to_markdown().splitlines())
     places = [first.index(head) for head in heads]
     for cells, row in zip(lines, comparison.rows, strict=True):

@@ -437,6 +437,7 @@ def test_what_a_law_cannot_do_is_in_words(paper: hs.Scenario) -> None:
     firm = with_auto(paper, "composite", 5.0, **nearer, **{"controller.composite.prior": 1e6})
     (sentence,) = warnings_of(firm, "controller.composite.prior")
     share = float(re.findall(r"with ([\d.]+) % of", sentence)[0]) / 100
+    assert "the image and the pull towards home balance" in sentence  # wherever the run starts
     found = hs.metrics(hs.simulate(firm.updated({"uncertainty.depth": 0.0, "simulation.duration": 20.0})))
     start = np.abs(scene_of(firm).desired - scene_of(firm).view(scene_of(firm).home).features).max()
     assert found["final_error"] / start == pytest.approx(share, rel=0.1)

@@ -181,6 +181,20 @@ def test_equal_frames_of_a_rounded_image_or_of_joints_at_rest_count(paper: hs.Sc
     assert fit_camera(rests, Scene(paper)).repeated == 0
 
 
+def test_an_exact_image_at_rest_does_not_repeat_while_the_joints_have_noise(paper: hs.Scenario) -> None:
+    log = seen_log(paper, 0.05, stamps=None, noise=0.0)
+    assert log.frames is not None
+    half = log.time[-1] / 2.0
+    still, after = log.time > half, log.frames.arrival > half
+    joints, features = log.joints.copy(), log.frames.features.copy()
+    noise = 1e-6 * np.random.default_rng(3).normal(size=joints[still].shape)
+    joints[still] = joints[still][0] + noise
+    features[after] = features[after][0]
+    rests = replace(log, joints=joints, frames=replace(log.frames, features=features))
+    assert (np.diff(features, axis=0) == 0.0).all(axis=1).sum() > 50
+    assert fit_camera(rests, Scene(paper)).repeated == 0
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("jitter", [0.004, 0.01])
 def test_intervals_contain_latency_and_noise_of_frames_that_jitter(paper: hs.Scenario, jitter: float) -> None:

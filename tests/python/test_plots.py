@@ -321,6 +321,29 @@ def test_the_first_samples_can_be_drawn(draw: Callable[[hs.Result], Figure], cou
     assert labels(figure)
 
 
+def test_numbers_of_many_points_keep_apart() -> None:
+    """Of 16 points whose starts lie on the goals of others: beside the marks, as in the run from start to goal."""
+    grid = [[0.5 + 0.16 * (i - 1.5), 0.16 * (j - 1.5), -4.728] for i in range(4) for j in range(4)]
+    goal = {"target.tag": None, "target.desired_features": None, "target.points": grid}
+    pose = {"target.desired_pose": [0.08, 0.03, 0.04, 0.02, -0.02, 0.08], "simulation.duration": 2.0}
+    run = hs.simulate(hs.load_scenario("moog-6dof2000e", {**goal, **pose, "metrics.rms_start": 0.0}))
+    figure = plots.feature_paths(run)
+    figure.canvas.draw()
+    axes = figure.axes[-1]
+    boxes = [text.get_window_extent().get_points() for text in axes.texts]
+    assert [text.get_text() for text in axes.texts] == [str(number) for number in range(1, 17)]
+    marks = axes.transData.transform(
+        np.concatenate(
+            [line(figure, f"{name} {number}") for name in ("start", "end", "goal") for number in range(1, 17)]
+        )
+    )
+    radius = 2.5 * figure.dpi / 72.0  # of the marks of starts
+    for box, other in itertools.combinations(boxes, 2):
+        assert (box[0] > other[1]).any() or (other[0] > box[1]).any()
+    for low, high in boxes:
+        assert not ((marks > low - radius) & (marks < high + radius)).all(axis=1).any()
+
+
 @pytest.mark.parametrize("draw", [plots.feature_paths, *TIME_FIGURES])
 def test_a_run_that_did_not_complete_says_so(draw: Callable[[hs.Result], Figure], paper: hs.Result) -> None:
     diverged = run(**{"controller.jacobian": "printed"})

@@ -173,6 +173,34 @@ def test_a_scenario_may_come_from_standard_input(paper: hs.Scenario) -> None:
     assert (code, error) == (2, f"Error: standard input: expected at most {MAX_BYTES} bytes of YAML, got more\n")
 
 
+@pytest.mark.parametrize(
+    ("name", "arguments"),
+    [
+        ("--out", ["run", "paper", "--out", "-"]),
+        ("--out", ["report", "paper", "-o", "-"]),
+        ("--out", ["compare", "--scenarios", "paper", "--out", "-"]),
+        ("--out", ["explore", "--out", "-"]),
+        ("--out", ["bench", "--out", "-"]),
+        ("--out", ["campaign", "paper-bounds", "--out", "-"]),
+        ("--out", ["tune", "tune.yaml", "--out", "-"]),
+        ("--out", ["identify", "log.csv", "-m", "paper", "--out", "-"]),
+        ("--camera", ["run", "paper", "--camera", "-"]),
+        ("--header", ["export", "paper", "--header", "-"]),
+        ("--mjcf", ["export", "paper", "--mjcf", "-"]),
+        ("--fmu", ["export", "paper", "--fmu", "-"]),
+        ("CAMPAIGN", ["campaign", "-", "--out", "runs"]),
+        ("CAMPAIGN", ["tune", "-", "--out", "runs"]),
+        ("LOG", ["identify", "-", "-m", "paper"]),
+    ],
+)
+def test_a_dash_is_no_file(name: str, arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, _, error = invoke(*arguments)
+    assert code == terminal.BAD_INPUT
+    assert f'{name}: expected a path, got "-"; one of that name is "./-"' in error
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_missing_file_is_called_that() -> None:
     assert invoke("run", "nofile.yaml")[2] == (
         'Error: "nofile.yaml": no such file; `hexservo scenarios` lists what is packaged\n'

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
     from hexservo.findings.evidence import Section
 
+_MOST_LOG_EVERY = 10**9  # that a scenario may have
+
 
 @described
 @dataclass(frozen=True)
@@ -174,7 +176,9 @@ class CampaignResult(Findings):
         It changes the packaged scenario where the campaign varies one and no goal is read in with the changes (as
         the goal pose of a camera that varies); else it names a file to which `scenario(index)` is to be written first.
         """
-        return command_with_changes(self.plan.drawing().changes(index), self.scenario(index)) or f"hexservo run {file}"
+        self.scenario(index)  # refuses an index without a run
+        scenario, changes = scenario_and_changes(self.plan.scenario, self.plan.drawing().changes(index))
+        return command_with_changes(changes, scenario) or f"hexservo run {file}"
 
 
 def load_campaign(folder: str | os.PathLike[str]) -> CampaignResult:
@@ -218,7 +222,23 @@ def _selected(table: pa.Table, names: list[str]) -> pa.Table:
 
 def scenario_of_run(plan: CampaignPlan, index: int) -> Scenario:
     """Return the scenario of a run."""
-    return plan.scenario.updated(plan.drawing().changes(index))
+    return scenario_and_changes(plan.scenario, plan.drawing().changes(index))[0]
+
+
+def scenario_and_changes(base: Scenario, changes: Mapping[str, Any]) -> tuple[Scenario, dict[str, Any]]:
+    """Return the scenario of a run by itself, and what it changes in that of the campaign.
+
+    A campaign keeps no samples. Where those of the run would exceed a log, as with a long ``simulation.duration``, both
+    have a larger ``simulation.log_every``, on which no metric depends.
+    """
+    try:
+        return base.updated(changes), dict(changes)
+    except ScenarioError as error:
+        every = 2 * changes.get("simulation.log_every", base.simulation.log_every)
+        of_log = all(problem.startswith("simulation.log_every:") for problem in error.problems)
+        if not of_log or every > _MOST_LOG_EVERY:
+            raise
+    return scenario_and_changes(base, {**changes, "simulation.log_every": every})
 
 
 def command_with_changes(changes: Mapping[str, Any], scenario: Scenario) -> str:

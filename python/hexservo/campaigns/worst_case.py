@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hexservo.campaigns.judging import Judge
-from hexservo.campaigns.result import CampaignResult, command_with_changes
+from hexservo.campaigns.result import CampaignResult, command_with_changes, scenario_and_changes
 from hexservo.campaigns.store import WORST, require_own_scenario, write_scenario
+from hexservo.campaigns.words import of_common_noise
 from hexservo.findings.diagnosis import diagnose
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Cell, Column, Section, Table
@@ -49,6 +50,7 @@ class WorstCase(Findings):
     outside: tuple[str, ...]  # numbers of that run which lie outside the box
     runs: int  # that were simulated
     seed: int  # of the search
+    common_noise: int | None  # seed of the noise that all runs share; None where each has its own, or none is random
     command: str  # that runs the packaged scenario with what varies; "" where the campaign varies no packaged one
     diagnosis: Diagnosis | None = field(default=None)  # of the run, where it fails
 
@@ -64,6 +66,8 @@ class WorstCase(Findings):
             f"own runs is {number(self.drawn_margin)}.",
             f"It is the worst of {self.runs} runs of a search (seed {self.seed}), which proves no bound.",
         ]
+        if self.common_noise is not None:
+            sentences.append(of_common_noise("it is the worst case", self.common_noise))
         if self.drawn_margin < self.margin and self.outside:
             more = f" and {len(self.outside) - _NAMED} more" if len(self.outside) > _NAMED else ""
             sentences.append(
@@ -80,6 +84,7 @@ class WorstCase(Findings):
             "margins": dict(self.margins),
             "runs": self.runs,
             "seed": self.seed,
+            "common_noise": self.common_noise,
         }
         return Section("worst_case", "Worst case", sentences, [table], "bad" if self.margin < 0 else "good", data)
 
@@ -154,8 +159,7 @@ def worst_case(
             search(columns, begin)
     law = judge.base.controller.law
     drawn = drawing.variations(drawing.numbers_at(place[None], start))
-    changes = drawing.base | changes_of_run(drawn, law)
-    scenario = plan.scenario.updated(changes)
+    scenario, changes = scenario_and_changes(plan.scenario, drawing.base | changes_of_run(drawn, law))
     write_scenario(result.folder / CASE, scenario.to_yaml())
     return WorstCase(
         scenario,
@@ -166,6 +170,7 @@ def worst_case(
         tuple(drawing.outside(starts[0])),
         judge.runs,
         seed,
+        plan.common_noise,
         command_with_changes(changes, scenario),
         _diagnosed(scenario) if margin < 0 else None,
     )

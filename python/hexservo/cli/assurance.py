@@ -18,6 +18,7 @@ from hexservo.cli.terminal import (
     changes_of,
     complain,
     errors_as_messages,
+    no_dash,
     refusals,
     show_parts,
     spell_time,
@@ -38,12 +39,19 @@ _WORDS_OF_A_FILE = 3  # of a command that names one
 
 def campaign(
     file: Annotated[
-        str, typer.Argument(metavar="CAMPAIGN", help="Name of a packaged campaign, or path of a YAML file.")
+        str,
+        typer.Argument(
+            metavar="CAMPAIGN", callback=no_dash, help="Name of a packaged campaign, or path of a YAML file."
+        ),
     ],
     out: Annotated[
         str,
         typer.Option(
-            "--out", "-o", metavar="FOLDER", help="Keep the runs there: a new folder, or that of the same campaign."
+            "--out",
+            "-o",
+            metavar="FOLDER",
+            callback=no_dash,
+            help="Keep the runs there: a new folder, or that of the same campaign.",
         ),
     ],
     runs: Annotated[
@@ -129,11 +137,17 @@ def campaign(
 
 
 def tune(
-    file: Annotated[str, typer.Argument(metavar="CAMPAIGN", help="Path of a campaign file with the block tune.")],
+    file: Annotated[
+        str, typer.Argument(metavar="CAMPAIGN", callback=no_dash, help="Path of a campaign file with the block tune.")
+    ],
     out: Annotated[
         str,
         typer.Option(
-            "--out", "-o", metavar="FOLDER", help="Keep the search there: a new folder, or that of the same search."
+            "--out",
+            "-o",
+            metavar="FOLDER",
+            callback=no_dash,
+            help="Keep the search there: a new folder, or that of the same search.",
         ),
     ],
     generations: Annotated[int, typer.Option("--generations", min=1, metavar="N", help="Of each round.")] = 40,

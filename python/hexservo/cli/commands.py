@@ -32,6 +32,7 @@ from hexservo.cli.terminal import (
     errors_as_messages,
     expanded,
     load,
+    no_dash,
     refusals,
     show_parts,
     spell_time,
@@ -87,7 +88,13 @@ def run(
     scenario: ScenarioArgument,
     out: Annotated[
         str | None,
-        typer.Option("--out", "-o", metavar="FOLDER", help="Write figures and data there, into a new or empty folder."),
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="FOLDER",
+            callback=no_dash,
+            help="Write figures and data there, into a new or empty folder.",
+        ),
     ] = None,
     settings: SettingsOption = None,
     camera: CameraOption = None,
@@ -154,7 +161,7 @@ def compare(
     camera: CameraOption = None,
     out: Annotated[
         str | None,
-        typer.Option("--out", "-o", metavar="FOLDER", help="Write tables and a page of plots there."),
+        typer.Option("--out", "-o", metavar="FOLDER", callback=no_dash, help="Write tables and a page of plots there."),
     ] = None,
     force: ForceOption = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print no table.")] = False,
@@ -283,7 +290,7 @@ def check(
 def bench(
     out: Annotated[
         str | None,
-        typer.Option("--out", "-o", metavar="FOLDER", help="Write bench.json and a picture there."),
+        typer.Option("--out", "-o", metavar="FOLDER", callback=no_dash, help="Write bench.json and a picture there."),
     ] = None,
     force: ForceOption = False,
     quick: Annotated[bool, typer.Option("--quick", help="A rougher measurement, in less than 15 s.")] = False,
@@ -410,14 +417,13 @@ def _comparison_report(
 
 def _comparison_tables(comparison: hs.Comparison) -> Iterator[RenderableType]:
     """Return as many tables as the columns need, or a list if not even one column fits."""
-    from hexservo.run.comparison import COLUMNS, metric_text, shared_unit
+    from hexservo.run.comparison import COLUMNS, column_texts
 
     labels = [("scenario", "law", "verdict"), *((row.scenario.name, row.law, row.verdict) for row in comparison.rows)]
     left = [max(map(len, texts)) + _GAP for texts in zip(*labels, strict=True)]
     columns = []
     for column in COLUMNS:
-        unit = shared_unit(comparison.rows, column)
-        texts = [metric_text(row, column, with_unit=not unit) for row in comparison.rows]
+        unit, texts = column_texts(comparison.rows, column)
         columns.append([column.head, f"[{unit}]" if unit else "", *texts])
     parts: list[list[list[str]]] = []
     room = -1
@@ -458,10 +464,11 @@ def _comparison_table(comparison: hs.Comparison, columns: list[list[str]], *, ve
 def _comparison_list(comparison: hs.Comparison) -> RenderableType:
     from rich.text import Text
 
-    from hexservo.run.comparison import COLUMNS, metric_text
+    from hexservo.run.comparison import COLUMNS, column_texts
 
     lines = []
-    for row in comparison.rows:
+    columns = [column_texts(comparison.rows, column, with_units=True)[1] for column in COLUMNS]
+    for row, *texts in zip(comparison.rows, *columns, strict=True):
         lines.append(f"{row.scenario.name}, {row.law}: {row.verdict}")
-        lines += [f"  {column.head}: {metric_text(row, column, with_unit=True)}" for column in COLUMNS]
+        lines += [f"  {column.head}: {text}" for column, text in zip(COLUMNS, texts, strict=True)]
     return Text("\n".join(lines))

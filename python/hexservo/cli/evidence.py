@@ -21,6 +21,7 @@ from hexservo.cli.terminal import (
     ending,
     errors_as_messages,
     load,
+    no_dash,
     refusals,
     show_parts,
     spell_time,
@@ -53,7 +54,9 @@ ForceOption = Annotated[bool, typer.Option("--force", "-f", help="Replace a file
 
 def report(
     run: _RunArgument,
-    out: Annotated[str, typer.Option("--out", "-o", metavar="FILE", help="HTML file to write, a new one.")],
+    out: Annotated[
+        str, typer.Option("--out", "-o", metavar="FILE", callback=no_dash, help="HTML file to write, a new one.")
+    ],
     settings: SettingsOption = None,
     camera: CameraOption = None,
     force: ForceOption = False,

@@ -8,7 +8,16 @@ from typing import Annotated
 import typer
 
 import hexservo as hs
-from hexservo.cli.terminal import BAD_INPUT, CameraOption, SettingsOption, complain, errors_as_messages, load, write
+from hexservo.cli.terminal import (
+    BAD_INPUT,
+    CameraOption,
+    SettingsOption,
+    complain,
+    errors_as_messages,
+    load,
+    no_dash,
+    write,
+)
 
 
 def explore(
@@ -22,7 +31,13 @@ def explore(
     camera: CameraOption = None,
     out: Annotated[
         str | None,
-        typer.Option("--out", "-o", metavar="FILE", help="Write the page there.  [default: a new temporary file]"),
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="FILE",
+            callback=no_dash,
+            help="Write the page there.  [default: a new temporary file]",
+        ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", "-f", help="Replace the page of an earlier explore.")] = False,
     no_open: Annotated[bool, typer.Option("--no-open", help="Write the page and open no browser.")] = False,

@@ -9,7 +9,15 @@ from typing import Annotated
 import typer
 
 import hexservo as hs
-from hexservo.cli.terminal import CameraOption, ScenarioArgument, SettingsOption, errors_as_messages, load, write
+from hexservo.cli.terminal import (
+    CameraOption,
+    ScenarioArgument,
+    SettingsOption,
+    errors_as_messages,
+    load,
+    no_dash,
+    write,
+)
 
 _AUTHOR = "hexservo export"
 
@@ -17,13 +25,22 @@ _AUTHOR = "hexservo export"
 def export(
     scenario: ScenarioArgument,
     header: Annotated[
-        str | None, typer.Option("--header", metavar="FILE", help="C++ header with the gains to write, a new file.")
+        str | None,
+        typer.Option(
+            "--header", metavar="FILE", callback=no_dash, help="C++ header with the gains to write, a new file."
+        ),
     ] = None,
     mjcf: Annotated[
-        str | None, typer.Option("--mjcf", metavar="FILE", help="MuJoCo model of the machine to write, a new file.")
+        str | None,
+        typer.Option(
+            "--mjcf", metavar="FILE", callback=no_dash, help="MuJoCo model of the machine to write, a new file."
+        ),
     ] = None,
     fmu: Annotated[
-        str | None, typer.Option("--fmu", metavar="FILE", help="Unit for co-simulation (FMI) to write, a new file.")
+        str | None,
+        typer.Option(
+            "--fmu", metavar="FILE", callback=no_dash, help="Unit for co-simulation (FMI) to write, a new file."
+        ),
     ] = None,
     fmi: Annotated[
         int | None, typer.Option("--fmi", min=2, max=3, help="With --fmu: version of the standard.  [default: 2]")

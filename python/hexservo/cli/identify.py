@@ -7,19 +7,24 @@ from typing import Annotated
 import typer
 
 from hexservo.cli.evidence import STANDARD_OUTPUT, ForceOption, JsonOption, check_json, identified, write_json
-from hexservo.cli.terminal import CameraOption, SettingsOption, errors_as_messages, show_parts, write
+from hexservo.cli.terminal import CameraOption, SettingsOption, errors_as_messages, no_dash, show_parts, write
 
 _TITLE = "# A scenario by `hexservo identify`"
 
 
 def identify(
     log: Annotated[
-        str, typer.Argument(metavar="LOG", help="CSV or MCAP: time, commanded and measured joints, features.")
+        str,
+        typer.Argument(
+            metavar="LOG", callback=no_dash, help="CSV or MCAP: time, commanded and measured joints, features."
+        ),
     ],
     machine: Annotated[
         str, typer.Option("--machine", "-m", metavar="SCENARIO", help="The machine: name or path of a scenario.")
     ],
-    out: Annotated[str | None, typer.Option("--out", "-o", metavar="FILE", help="Write the scenario there.")] = None,
+    out: Annotated[
+        str | None, typer.Option("--out", "-o", metavar="FILE", callback=no_dash, help="Write the scenario there.")
+    ] = None,
     motors: Annotated[
         bool, typer.Option("--motors", help="Also fit stiffness, damping, friction and armature of the motors.")
     ] = False,

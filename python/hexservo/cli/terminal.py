@@ -28,6 +28,16 @@ READER_LEFT = 141  # 128 + SIGPIPE
 _ANY_WIDTH = 10_000  # for files and pipes: lines are not wrapped or cut
 _HEIGHT = 25  # lines, which cut nothing; without them rich takes 80 columns for the width where TERM is dumb
 
+
+def no_dash(parameter: typer.CallbackParam, value: str | None) -> str | None:
+    """Refuse "-" for a file or folder: it stands for standard input or output elsewhere (a callback of a parameter)."""
+    if value == "-":
+        name = parameter.opts[0] if parameter.param_type_name == "option" else parameter.metavar
+        with errors_as_messages():
+            raise hs.ScenarioError([f'{name}: expected a path, got "-"; one of that name is "./-"'])
+    return value
+
+
 ScenarioArgument = Annotated[
     str,
     typer.Argument(
@@ -41,6 +51,7 @@ CameraOption = Annotated[
     str | None,
     typer.Option(
         "--camera",
+        callback=no_dash,
         metavar="FILE",
         help="Take the camera's intrinsics from a calibration file of OpenCV (YAML); target features are its pixels.",
     ),

@@ -247,6 +247,16 @@ def farther_apart(starts: Array, ends: Array, enough: float) -> Literal[0, -1]:
     return 0 if nearest(starts) >= min(enough, nearest(ends)) else -1
 
 
+def free_place(candidates: Array, taken: Array, enough: float) -> int:
+    """Return the first of some places (k, 2) that is far enough from all that are taken (n, 2), or else the farthest.
+
+    All in one unit, as points of the figure.
+    """
+    room = np.array([np.nanmin(np.hypot(*(taken - place).T)) for place in candidates])
+    free = np.flatnonzero(room >= enough)
+    return int(free[0] if len(free) else room.argmax())
+
+
 def point_the_way(axes: Axes, path: Array, distance: float, colour: str, number: int) -> None:
     """Put an arrow head on a path at a distance along it."""
     travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])

@@ -9,6 +9,7 @@ no peak is lost.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
@@ -30,6 +31,7 @@ from hexservo.draw.panels import (
     draw_lines,
     farther_apart,
     fill_panels,
+    free_place,
     given_axes,
     label_ends,
     note_outcome,
@@ -64,6 +66,7 @@ from hexservo.run.samples import ImageView, feature_names, image_views, vertical
 from hexservo.run.samples import extreme_samples as _extreme_samples
 from hexservo.run.samples import parts as _parts
 from hexservo.run.samples import turns_from_home as _turns_from_home
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.pixels import desired_features
 from hexservo.scenario.rules import TERMS, term_text
@@ -76,6 +79,11 @@ _POINT_COLOURS = (BLUE, VERMILION, GREEN, BLACK, PURPLE, ORANGE)
 _POINT_DASHES = (("-", DASHED), ((0, (9, 1.2)), DASH_DOT), ((0, (1, 1)), (0, (9, 1.2, 1.2, 1.2))))  # of x, y; by six
 _MOST_LABELS = 14  # of lines beside the feature errors: as many as stand apart
 _WORST = 2  # lines that are labelled where there are more: those with the largest errors at the end
+
+_LABEL_OFFSET = 7.0  # of a point's number from its mark, along each axis [points]
+_LABEL_ROOM = 8.5  # between a number and what else is drawn: half of either and a gap [points]
+_BESIDE = np.array([*product((1.0, -1.0), repeat=2), (1.4, 0.0), (-1.4, 0.0), (0.0, 1.4), (0.0, -1.4)])  # offsets
+_SAMPLES_OF_PATH = 20  # that numbers keep away from
 
 _START: dict[str, Any] = {"marker": "o", "markersize": 5, "markerfacecolor": "white", "markeredgewidth": 1.1}
 _END: dict[str, Any] = {"marker": "o", "markersize": 3.2, "markeredgewidth": 0}
@@ -404,7 +412,6 @@ def _draw_paths(axes: Axes, result: Result, view: ImageView, *, named: bool = Tr
     if view.border is not None:
         axes.add_patch(Polygon(view.border, fill=False, edgecolor=GREY, linewidth=0.8, gid="border", zorder=1.5))
     half = float(view.half.min())
-    corner_of = farther_apart(features[0], features[-1], 0.16 * half)
     for number, (path, goal) in enumerate(zip(features.swapaxes(0, 1), goals, strict=True), start=1):
         colour = _point_colour(number - 1)
         kept = np.union1d(_extreme_samples(path[:, 0]), _extreme_samples(path[:, 1]))
@@ -415,8 +422,47 @@ def _draw_paths(axes: Axes, result: Result, view: ImageView, *, named: bool = Tr
         if not named:
             continue
         point_the_way(axes, path, max(0.55 * float(np.hypot(*(goal - path[0]))), 0.1 * half), colour, number)
-        at = path[corner_of]
-        away = tuple(7 * np.where(at < goal, -1, 1))
+    if named:
+        _number_points(axes, features, goals, farther_apart(features[0], features[-1], 0.16 * half))
+
+
+def _number_points(axes: Axes, features: Array, goals: Array, corner_of: int) -> None:
+    """Write the number of each point where neither marks and paths nor other numbers are, as far as there is room.
+
+    Parameters
+    ----------
+    axes
+        With its limits and its aspect.
+    features, goals
+        Of the samples (n, points, 2) and of the goal (points, 2).
+    corner_of
+        0: beside the start if there is room; -1: beside the end.
+    """
+    axes.apply_aspect()
+
+    def on_paper(places: Array) -> Array:  # [points]
+        flat = axes.transData.transform(places.reshape(-1, 2)) * 72.0 / axes.figure.dpi
+        return np.asarray(flat.reshape(places.shape))
+
+    every = max(1, len(features) // _SAMPLES_OF_PATH)
+    paths, ends = on_paper(features[::every]).reshape(-1, 2), on_paper(features[[0, -1]])
+    taken = np.concatenate([paths, ends.reshape(-1, 2), on_paper(goals)])
+    for number, goal in enumerate(goals):
+        at = features[corner_of, number]
+        usual = np.where(at < goal, -1.0, 1.0)
+        offsets = np.concatenate([[usual], _BESIDE]) * _LABEL_OFFSET
+        places = [(at, offset) for at in features[[corner_of, -1 - corner_of], number] for offset in offsets]
+        candidates = np.array([on_paper(at) + offset for at, offset in places])
+        chosen = free_place(candidates, taken, _LABEL_ROOM)
+        taken = np.concatenate([taken, candidates[[chosen]]])
+        at, away = places[chosen]
         axes.annotate(
-            str(number), at, away, textcoords="offset points", color=colour, ha="center", va="center", bbox=HALO
+            str(number + 1),
+            at,
+            tuple(away),
+            textcoords="offset points",
+            color=_point_colour(number),
+            ha="center",
+            va="center",
+            bbox=HALO,
         )

@@ -62,6 +62,7 @@ def of_gains(scene: Scene, fastest: float | None) -> Iterator[str]:
     elif fastest is not None:
         yield from _too_slow(scenario, f"controller.{law}: the gains' bandwidth of {{}} Hz", fastest / (2.0 * math.pi))
     yield from _of_way(scene)
+    yield from _of_pull(scene)
     yield from _of_switching(scene)
     if scenario.controller.traits.output == "pose":
         yield from _of_feedback(scenario, law)
@@ -221,10 +222,10 @@ def _of_image(scene: Scene, key: str) -> Iterator[str]:
             )
     else:
         share = share_of_prior(scene, machine)
-        if share > _LEFT:
+        if _LEFT < share <= 1.0:  # else `_of_pull`
             yield (
-                f"controller.{law}.prior: with {number(100 * share, 2)} % of the image error at the start, image and "
-                "start pose balance; a smaller prior leaves less"
+                f"controller.{law}.prior: with {number(100 * share, 2)} % of the image error at the start, the image "
+                "and the pull towards home balance; a smaller prior leaves less"
             )
 
 
@@ -246,6 +247,24 @@ def _of_way(scene: Scene) -> Iterator[str]:
     yield (
         f"controller.{law}.{traits.inverse}: the law first goes to a pose {shift} m and {turn} rad from home, where "
         f"{limit.beyond}, although the legs reach the goal; a {remedy}, or a law of the pose, does not"
+    )
+
+
+def _of_pull(scene: Scene) -> Iterator[str]:
+    """Find a start nearer to the goal image than the balance of image and prior, whose reference is home anyway."""
+    law = scene.scenario.controller.law
+    if not _core.LAW_TRAITS[law].prior or not scene.has_points or not any(scene.scenario.simulation.start.pose):
+        return
+    machine = machine_of(scene.scenario)
+    if share_of_prior(scene, machine) <= 1.0:
+        return
+    left = left_by_inverse(scene, machine)
+    pixels = np.abs(machine.jacobian @ left)[machine.weights > 0.0].max()
+    shift, turn = (float(np.linalg.norm(part)) for part in np.split(left, 2))
+    yield (
+        f"controller.{law}.prior: the start is nearer to the goal image than where the image and the pull towards home "
+        f"balance, with {number(float(pixels))} px and {quantity(shift, 'm')} and {quantity(turn, 'rad')} from the "
+        "goal; the run goes there, and a smaller prior leaves less"
     )
 
 
@@ -275,7 +294,7 @@ def turning_share(machine: Machine) -> float:
 
 
 def share_of_prior(scene: Scene, machine: Machine) -> float:
-    """Return the share of the largest feature error at the start with which image and start pose balance.
+    """Return the share of the largest feature error at the start with which the image and the pull to home balance.
 
     Of the points that count. Zero where no pose shows the goal image.
     """
@@ -288,9 +307,9 @@ def share_of_prior(scene: Scene, machine: Machine) -> float:
 def left_by_inverse(scene: Scene, machine: Machine) -> Array:
     """Return (J^T W J + M)^-1 M x, x from home to the goal, (6,) [m; rad]: what the estimated pose error leaves out.
 
-    To first order. With M a prior, J^T W xi-tilde = M (x - left) there, and e = 0: image and start pose balance. With M
-    a damping of the inverse, the law is slow from there on. NaN where no pose shows the goal image, or no inverse
-    exists.
+    To first order. With M a prior, J^T W xi-tilde = M (x - left) there, and e = 0: the image and the pull to home
+    balance. With M a damping of the inverse, the law is slow from there on. NaN where no pose shows the goal image, or
+    no inverse exists.
     """
     law = scene.scenario.controller.law
     gain = value_at(scene.scenario, f"controller.{law}.{_core.LAW_TRAITS[law].inverse}")

@@ -22,7 +22,7 @@ from hexservo.findings.wording import VERDICTS
 from hexservo.report.evidence_html import table_html
 from hexservo.report.html import Html, element, paragraphs
 from hexservo.run.batch import BatchResult
-from hexservo.run.comparison import COLUMNS, Comparison, metric_text, shared_unit
+from hexservo.run.comparison import COLUMNS, Comparison, column_texts
 from hexservo.run.display import batch_text, comparison_text
 from hexservo.run.metrics import METRICS, readable, shown_metrics
 from hexservo.run.result import Result
@@ -87,7 +87,8 @@ def _batch_html(batch: BatchResult) -> str:
         known = values[np.isfinite(values)]
         spread = [float(known.min()), float(np.median(known)), float(known.max())] if len(known) else [math.nan] * 3
         shown = [
-            " ".join(readable(name, value, batch.scenario.robot)).strip() if value == value else "–" for value in spread
+            " ".join(readable(name, value, batch.scenario.robot, spread[-1])).strip() if value == value else "–"
+            for value in spread
         ]
         rows.append([name, *shown, len(known)])
     columns = (Column("metric"), Column("smallest"), Column("median"), Column("largest"), Column("runs"))
@@ -104,21 +105,15 @@ def _batch_html(batch: BatchResult) -> str:
 
 def _comparison_html(comparison: Comparison) -> str:
     """Return a comparison's table and its figures."""
-    units = {column: shared_unit(comparison.rows, column) for column in COLUMNS}
+    units, columns = zip(*(column_texts(comparison.rows, column) for column in COLUMNS), strict=True)
     heads = (
         Column("scenario"),
         Column("law"),
         Column("verdict"),
-        *(Column(column.head, unit) for column, unit in units.items()),
+        *(Column(column.head, unit) for column, unit in zip(COLUMNS, units, strict=True)),
     )
     rows = [
-        (
-            row.scenario.name,
-            row.law,
-            row.verdict,
-            *(metric_text(row, column, with_unit=not unit) for column, unit in units.items()),
-        )
-        for row in comparison.rows
+        (row.scenario.name, row.law, row.verdict, *texts) for row, *texts in zip(comparison.rows, *columns, strict=True)
     ]
     return _page(
         element("strong", comparison_text(comparison).split("\n")[0]),

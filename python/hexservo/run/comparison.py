@@ -6,7 +6,7 @@ import csv
 import io
 import math
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -105,6 +105,8 @@ COLUMNS = (
 )
 """What the table for people shows, in this order; `to_csv` has all metrics."""
 
+_DIGITS = 3  # of its numbers
+
 
 @described
 @dataclass(frozen=True, eq=False, repr=False)
@@ -154,14 +156,15 @@ class Comparison:
 
         Where the scenarios have both legs that change their length and cranks, each number of the legs has its unit.
         """
-        units = {column: shared_unit(self.rows, column) for column in COLUMNS}
-        heads = (f"{column.head} [{unit}]" if unit else column.head for column, unit in units.items())
+        units, columns = zip(*(column_texts(self.rows, column) for column in COLUMNS), strict=True)
+        heads = (
+            f"{column.head} [{unit}]" if unit else column.head for column, unit in zip(COLUMNS, units, strict=True)
+        )
         lines = [
             ["scenario", "law", "verdict", *heads, "why"],
             ["---", "---", "---", *("---:" for _ in COLUMNS), "---"],
         ]
-        for row in self.rows:
-            numbers = (metric_text(row, column, with_unit=not unit) for column, unit in units.items())
+        for row, *numbers in zip(self.rows, *columns, strict=True):
             lines.append([row.scenario.name, row.law, row.verdict, *numbers, row.why])
         return "".join(f"| {' | '.join(_escaped(cell) for cell in line)} |\n" for line in lines)
 
@@ -228,25 +231,37 @@ class Comparison:
             (folder / f"{scenario.name}.yaml").write_text(scenario.to_yaml(), encoding="utf-8")
 
 
-def shared_unit(rows: Iterable[ComparisonRow], column: MetricColumn) -> str:
-    """Return the unit that people read in a column; empty where rows differ, of cranks and legs of variable length."""
-    units = {_unit(row, column)[0] for row in rows}
-    return units.pop() if len(units) == 1 else ""
+def column_texts(
+    rows: Sequence[ComparisonRow], column: MetricColumn, *, with_units: bool = False
+) -> tuple[str, list[str]]:
+    """Return the unit that people read in a column, and the text of each row.
 
+    A text is "-" where there is no number, "<1e-6" or the like for rounding, and ends with "!" if it exceeds a limit.
 
-def metric_text(row: ComparisonRow, column: MetricColumn, *, with_unit: bool = False) -> str:
-    """Write one number of the table; "-" where there is none, "<1e-6" for rounding, "!" if it exceeds a limit."""
-    unit, scale = _unit(row, column)
-    value = row.metrics.get(column.metric, math.nan) * scale
-    if math.isnan(value):
-        return "never" if column.metric == "settling_time" and row.outcome == "completed" else "-"
-    exceeded = "!" if column.limit in row.passed_limits else ""
-    return f"{shown_number(value, unit, 3)}{f' {unit}' if with_unit else ''}{exceeded}"
-
-
-def _unit(row: ComparisonRow, column: MetricColumn) -> tuple[str, float]:
-    """Return the unit that people read, and how many of it make one of the metric's."""
-    return readable_unit(metric_unit(column.metric, row.scenario.robot))
+    Parameters
+    ----------
+    rows, column
+        Of the table; all rows have the unit of the largest number.
+    with_units
+        Whether each text has its unit, as where rows differ, of cranks and legs of variable length; the column has none
+        there.
+    """
+    units = [metric_unit(column.metric, row.scenario.robot) for row in rows]
+    values = [row.metrics.get(column.metric, math.nan) for row in rows]
+    largest = dict.fromkeys(units, 0.0)
+    for unit, value in zip(units, values, strict=True):
+        largest[unit] = max(largest[unit], value)  # which NaN does not change
+    shown = {unit: readable_unit(unit, size, _DIGITS) for unit, size in largest.items()}
+    each = with_units or len(shown) > 1
+    texts = []
+    for row, value, unit in zip(rows, values, units, strict=True):
+        if math.isnan(value):
+            texts.append("never" if column.metric == "settling_time" and row.outcome == "completed" else "-")
+            continue
+        of_people, scale = shown[unit]
+        exceeded = "!" if column.limit in row.passed_limits else ""
+        texts.append(f"{shown_number(value, unit, scale, _DIGITS)}{f' {of_people}' if each else ''}{exceeded}")
+    return "" if each else shown[units[0]][0], texts
 
 
 def _exact(number: float) -> str:

@@ -26,8 +26,13 @@ class LegLimit:
     @property
     def text(self) -> str:
         """The limit in the unit that people read."""
-        unit, scale = readable_unit(self.unit)
+        unit, scale = self.shown_unit
         return f"{number(self.value * scale, 4)} {unit}"
+
+    @property
+    def shown_unit(self) -> tuple[str, float]:
+        """The unit that people read, of the limit and of what is compared with it, and how many of it make one."""
+        return readable_unit(self.unit, self.value)
 
 
 @dataclass(frozen=True)
@@ -45,7 +50,7 @@ class LimitUse:
     @property
     def excess(self) -> str:
         """What a run beyond the limit does, as a clause that follows its subject."""
-        unit, scale = readable_unit(self.limit.unit)
+        unit, scale = self.limit.shown_unit
         peak, allowed = apart(self.peak * scale, self.limit.value * scale, 3)
         value = f"{peak} {unit}"
         return {

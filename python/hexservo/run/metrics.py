@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from hexservo.scenario.leg_units import unit_of
 from hexservo.scenario.rules import did_you_mean
-from hexservo.scenario.wording import apart, number, several_names, wrong_type
+from hexservo.scenario.wording import apart, number, several_names, shown_unit, wrong_type
 
 if TYPE_CHECKING:
     from hexservo.run.result import Result
@@ -42,20 +42,11 @@ METRICS: dict[str, tuple[str, str]] = {
 }
 _OF_LIMITS = ("peak_leg_speed", "peak_base_joint", "peak_platform_joint")  # NaN without their limit
 
-# Unit of a metric -> the unit people read, and how many of it make one.
-_READABLE_UNITS = {
-    "m": ("mm", 1e3),
-    "rad": ("mrad", 1e3),
-    "m/s": ("mm/s", 1e3),
-    "rad/s": ("mrad/s", 1e3),
-    "N m": ("mN m", 1e3),
-    "1": ("%", 100.0),
-}
+_WITH_PREFIX = ("m", "rad", "m/s", "rad/s", "N m")  # units that people read in thousandths and so on, by size
 
-
-# What is less is rounding: a double leaves about 1e-10 of these, and no goal of a run is as small.
-_FLOOR = 1e-6
-_ROUNDED_UNITS = ("px", "mm", "mrad", "%")
+# Unit of a metric -> what is less is rounding: a double leaves about a ten-thousandth of these, and no goal of a run
+# is as small.
+_FLOORS = {"px": 1e-6, "m": 1e-9, "rad": 1e-9, "1": 1e-8}
 
 
 def asked_metrics(names: Any) -> tuple[str, ...]:
@@ -118,7 +109,7 @@ def left_and_band(values: Mapping[str, float], measured: Metrics) -> tuple[str, 
     An error that is rounding reads as in a table, "<1e-6", unless the band itself is as small.
     """
     left, band = apart(values["final_error"], measured.band)
-    if values["final_error"] < _FLOOR <= measured.band:
+    if values["final_error"] < _FLOORS["px"] <= measured.band:
         left = shown_number(values["final_error"], "px")
     return left, band
 
@@ -134,19 +125,50 @@ def metric_unit(name: str, robot: Robot) -> str:
     return unit_of(robot, name, METRICS[name][0])
 
 
-def readable(name: str, value: float, robot: Robot) -> tuple[str, str]:
-    """Return the text of a robot's metric and its display unit (mm for m, and so on)."""
+def readable(name: str, value: float, robot: Robot, largest: float | None = None) -> tuple[str, str]:
+    """Return the text of a robot's metric and the unit that people read.
+
+    Parameters
+    ----------
+    name, value, robot
+        The metric, in its unit.
+    largest
+        Of the values beside it, which have one unit; None: it stands alone.
+    """
     if value != value:
         return "never" if name == "settling_time" else "none", ""  # NaN: docs/model.md section 8
-    unit, scale = readable_unit(metric_unit(name, robot))
-    return shown_number(value * scale, unit), unit
+    unit = metric_unit(name, robot)
+    shown, scale = readable_unit(unit, value if largest is None else largest)
+    return shown_number(value, unit, scale), shown
 
 
-def shown_number(value: float, unit: str, digits: int = 4) -> str:
-    """Write a number of a table for people, as `number`; what rounding leaves of zero is "<1e-6", by its unit."""
-    return "<1e-6" if unit in _ROUNDED_UNITS and 0.0 < value < _FLOOR else number(value, digits)
+def shown_number(value: float, unit: str, scale: float = 1.0, digits: int = 4) -> str:
+    """Write a value of a table for people, as `number`; what rounding leaves of zero is less than a floor: "<1e-6".
+
+    Parameters
+    ----------
+    value
+        In the unit of its metric.
+    unit
+        The unit of its metric, which has the floor.
+    scale
+        How many of the unit that is shown make one of it.
+    digits
+        Of the number.
+    """
+    floor = _FLOORS.get(unit, 0.0)
+    if 0.0 < value < floor:
+        return f"<{floor * scale:g}".replace("e-0", "e-")
+    return number(value * scale, digits)
 
 
-def readable_unit(unit: str) -> tuple[str, float]:
-    """Return the unit that people read in place of an SI unit, and how many of it make one."""
-    return _READABLE_UNITS.get(unit, (unit, 1.0))
+def readable_unit(unit: str, largest: float, digits: int = 4) -> tuple[str, float]:
+    """Return the unit that people read in place of a metric's unit, and how many of it make one.
+
+    It is that of the largest value that is shown, as `shown_unit`; what is rounding has that of the floor.
+    """
+    if unit == "1":
+        return "%", 100.0
+    if unit not in _WITH_PREFIX:
+        return unit, 1.0
+    return shown_unit(max(largest, _FLOORS.get(unit, 0.0)) if largest > 0.0 else 0.0, unit, digits)

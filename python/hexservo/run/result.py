@@ -105,7 +105,7 @@ class LimitEvent:
 
     def __str__(self) -> str:
         """Return the event as a sentence."""
-        unit, scale = readable_unit(self.unit)
+        unit, scale = readable_unit(self.unit, self.limit)
         what = _LIMITS[self.kind][1].format(self.leg)
         what = what.replace("force", "torque") if self.rotary else what
         peak, limit = apart(self.peak * scale, self.limit * scale)

@@ -8,7 +8,7 @@ import numpy as np
 
 from hexservo.run.leg_limits import leg_limits
 from hexservo.run.leg_motion import singular_passage
-from hexservo.run.metrics import left_and_band, metrics, readable_unit, shown_number, unsettled
+from hexservo.run.metrics import left_and_band, metrics, shown_number, unsettled
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.pixels import points_outside
 from hexservo.scenario.wording import apart, number, percent_above, percent_below, quantity
@@ -95,7 +95,7 @@ def _legs(result: Result) -> list[str]:
     values = metrics(result)
     sentences = []
     for limit in leg_limits(result.scenario):
-        unit, scale = readable_unit(limit.unit)
+        unit, scale = limit.shown_unit
         found, allowed = apart(values[limit.metric] * scale, limit.value * scale)
         share = values[limit.metric] / limit.value
         if share <= 1:

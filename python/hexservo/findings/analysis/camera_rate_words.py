@@ -16,7 +16,6 @@ from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.analysis.words import number
 from hexservo.findings.evidence import Cell, Column, HeatMap, Line, Section, Table, Verdict, picked
 from hexservo.run.leg_limits import LimitUse, limits_of_motion
-from hexservo.run.metrics import readable_unit
 from hexservo.scenario.leg_units import leg_units
 
 PAGE = "docs/analysis/camera_rate.md"
@@ -261,7 +260,7 @@ def _limits(result: CameraRate) -> str:
 
 def _use(use: LimitUse) -> str:
     """Return the largest value of a run, with what it is of if that is not the travel."""
-    unit, scale = readable_unit(use.limit.unit)
+    unit, scale = use.limit.shown_unit
     value = f"{number(scale * use.peak)} {unit}"
     return value if use.limit.kind == "stroke" else f"{use.limit.of_leg} {value}, of {use.limit.text}"
 

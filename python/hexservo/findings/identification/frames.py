@@ -33,7 +33,9 @@ _TARGET = 6  # numbers of its displacement
 _RARE = 0.01  # share of the frames at either end of the latencies from which jitter is not taken
 _SAME = 1e-9  # times that differ by less are the same [s]
 _WHITE = 2.0  # frames over which what a fit with the true calibration leaves is correlated, at most
-_BY_ITSELF = 0.05  # of the frames that are equal to the one before: more with some equal coordinates are rounded
+# Of the frames that are equal to the one before: more with some equal coordinates are rounded, and fewer while the
+# joints move are none of a driver that repeats them.
+_BY_ITSELF = 0.05
 _APPARENT = 3.0  # [px]: what a displaced target moves the image by from which on the scenario does not see alike
 _EDGE = 5e-4  # latencies that are so near to an end of what is searched, or to 0, are no different from it [s]
 
@@ -159,15 +161,17 @@ def _repeats(log: Log, frames: Frames) -> Mask:
 
     Noise changes every coordinate: a frame that is equal in all of them is no new one. An image that is rounded, in
     which single coordinates are equal from frame to frame too, or that has no noise may be equal at rest: none is a
-    repetition where coordinates are often equal by themselves, nor where the joints are equal too whenever the
-    image is.
+    repetition where coordinates are often equal by themselves, nor where the image is equal only while the joints are
+    at rest, but for their noise: slower than half of what is usual where it changes.
     """
     same = np.diff(frames.features, axis=0) == 0.0
     whole = same.all(axis=1)
     ticks = np.clip(np.searchsorted(log.time, frames.arrival, side="right") - 1, 0, None)
-    moved = (np.diff(log.joints[ticks], axis=0) != 0.0).any(axis=1)
+    speed = np.abs(np.diff(log.joints[ticks], axis=0)).max(axis=1) / np.maximum(np.diff(frames.arrival), _SAME)
+    usual = 0.0 if whole.all() else float(np.median(speed[~whole]))
+    moving = speed > 0.5 * usual
     rounded = (same.any(axis=1) & ~whole).sum() > _BY_ITSELF * whole.sum()
-    repeating = bool((whole & moved).any()) and not rounded
+    repeating = bool((whole & moving).sum() > _BY_ITSELF * whole.sum()) and not rounded
     return np.concatenate([[False], whole & repeating])
 
 
