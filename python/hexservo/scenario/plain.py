@@ -45,7 +45,7 @@ def _of_numpy(value: Any, place: str) -> Any:
         if np.ma.is_masked(value):  # which a list would have as null
             raise ScenarioError(f"{place}: expected a value without a mask, got a masked one; fill it in")
         if any(hasattr(value, name) for name in ("units", "magnitude")):
-            raise ScenarioError(f"{place}: expected plain numbers, got a value with a unit of its own; convert it")
+            raise ScenarioError(f"{place}: expected plain numbers, got a value that has a unit; convert it")
         if not isinstance(value, np.ndarray):
             try:
                 numbers = np.asarray(value)
