@@ -21,6 +21,7 @@ from hexservo.run.progress import ProgressCallback, reporting
 from hexservo.scenario.fields import described
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.leg_units import leg_units
+from hexservo.scenario.pixels import feature_noise
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import wrong_type
 
@@ -42,7 +43,7 @@ class Identification(Findings):
     faults: dict[str, Any] = field(
         default_factory=dict
     )  # keys of what is wrong with the log's exposure times, likewise
-    end: LogEnd | None = None  # how far from the goal the log ends; None where it has no image of the goal's points
+    end: LogEnd | str = ""  # how far from the goal the log ends, or why the log does not tell
 
     @property
     def as_logged(self) -> Scenario:
@@ -137,5 +138,5 @@ def identify(
         found,
         rounded,
         faults_of(record, scenario, camera),
-        end_of(record, scene),
+        end_of(record, scene, feature_noise(scenario.camera)),
     )
