@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hexservo.findings.analysis.scene import Scene
+from hexservo.findings.identification.interval import NORMAL
 from hexservo.findings.identification.log import Log
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.pixels import to_features
@@ -21,7 +22,6 @@ _ALLOWED = 3.0  # standard errors that noise may make of a median or a spread
 # Standard errors of white Gaussian noise of deviation 1, times the root of the number of values
 _OF_MEDIAN = 1.2533
 _OF_SPREAD = 1.1664
-_NORMAL = 1.4826  # standard deviation over the median of the distances from the median, of Gaussian noise
 _LATE = 5  # frame periods, after the dwell time, by which the last complete image may be before the end of the log
 
 
@@ -84,6 +84,6 @@ def end_of(log: Log, scene: Scene, noise: float = 0.0) -> LogEnd | str:
 
 def _stays_within(features: Array, most: float, noise: float) -> bool:
     """Return whether each coordinate, (m, 2p) [px], spreads by no more than `most` beside noise."""
-    spread = _NORMAL * np.median(np.abs(features - np.median(features, axis=0)), axis=0)
+    spread = NORMAL * np.median(np.abs(features - np.median(features, axis=0)), axis=0)
     of_noise = noise * (1.0 + _ALLOWED * _OF_SPREAD / np.sqrt(len(features)))
     return bool((spread <= np.hypot(most, of_noise)).all())
