@@ -300,6 +300,7 @@ class _Condition:
     keys: tuple[str, ...]  # blocks or keys
     acts: Callable[[Scenario], bool]
     when: str  # the condition, as it follows "they act"
+    can_be_met: bool = True  # by other settings of the scenario
 
 
 def _switches(scenario: Scenario) -> bool:
@@ -348,7 +349,9 @@ def _of_auto(law: str) -> tuple[_Condition, ...]:
     bandwidth = _Condition((block,), fits, f"only where one of {', '.join(fitted_keys(law))} acts and is not given")
     if law == _CRITICALLY_DAMPED:
         when = f"only in the blocks of other laws, since the motion of {law} is critically damped"
-        return bandwidth, _Condition((f"{block}.damping",), lambda scenario: scenario.controller.law != law, when)
+        return bandwidth, _Condition(
+            (f"{block}.damping",), lambda scenario: scenario.controller.law != law, when, False
+        )
     return bandwidth, _Condition((f"{block}.damping",), has_bandwidth, f"only with {block}.bandwidth")
 
 
@@ -404,8 +407,10 @@ _CONDITIONS = (
     ),
     _Condition(
         ("camera.on_lost",),
-        lambda scenario: scenario.camera.image_size is not None or scenario.camera.gate is not None,
-        "only with camera.image_size or camera.gate",
+        lambda scenario: (
+            scenario.camera.image_size is not None or (scenario.camera.gate is not None and _predicts(scenario))
+        ),
+        "only with camera.image_size or an acting camera.gate",
     ),
     _Condition(("camera.gate",), _predicts, "only with camera.prediction: encoder or camera.on_lost: predict"),
     _Condition(
@@ -472,7 +477,7 @@ def keys_without_effect(scenario: Scenario) -> list[str]:
 
 
 def needed_by(key: str, scenarios: Iterable[Scenario]) -> str:
-    """Return what a key needs to act, as it follows "it acts", where it acts in none of some scenarios; else "".
+    """Return what a key needs to act, and what to do, as it follows "it acts"; "" where it acts in one of scenarios.
 
     A bandwidth of `auto` is looked at as if the scenarios had one: in a campaign they do.
     """
@@ -481,10 +486,11 @@ def needed_by(key: str, scenarios: Iterable[Scenario]) -> str:
     for condition in _CONDITIONS:
         below = any(f"{key}.".startswith(f"{name}.") for name in condition.keys)
         if below and not any(condition.acts(scenario) for scenario, *_ in given):
-            return condition.when
+            return f"{condition.when}; {_MEET_OR_DROP if condition.can_be_met else 'drop the key'}"
     if bandwidths and all(gains_written(one) == gains_written(other) for one, other in given):
-        return "only where a gain that follows from it acts and is not given"
+        return f"only where a gain that follows from it acts and is not given; {_MEET_OR_DROP}"
     return ""
 
 
+_MEET_OR_DROP = "set that in the scenario, or drop the key"
 _SOME_BANDWIDTHS = (1.0, 2.0)  # [Hz]; any two differ in every gain that depends on it
