@@ -16,6 +16,7 @@ from hexservo.findings.analysis.loop_of_scenario import NotApplicableError, quie
 from hexservo.findings.analysis.reach import reach_of_start_and_goal
 from hexservo.findings.analysis.scene import Scene, scene_of
 from hexservo.findings.check_gains import of_gains
+from hexservo.findings.check_gate import of_gate
 from hexservo.findings.check_machine import of_machine
 from hexservo.findings.check_motion import of_motion
 from hexservo.scenario.arrays import Array
@@ -45,14 +46,15 @@ def unlikely(scenario: Scenario) -> list[str]:
     Compares the weight at home with the force limits, home with the base, the stroke with the leg lengths, start and
     goal with stroke, joint limits and image, the start's twist with the speed limit, the principal point with the
     image, times of the camera and of the metrics with the duration, the motions of base and target with what machines
-    do (`of_motion`), the period of frames with what finds an unknown latency, the machine with what is built
-    (`of_machine`), and in sampled mode the servo period with the loop of the gains, linearised at home with the
-    switching term as in `linear_law`; gains with duration, servo rate, delays, forces and noise (`of_gains`). Gains
-    with which numbers of that loop overflow have a sentence that names it. Does not simulate.
+    do (`of_motion`), the period of frames with what finds an unknown latency, the gate with the target's motion
+    (`of_gate`), the machine with what is built (`of_machine`), and in sampled mode the servo period with the loop of
+    the gains, linearised at home with the switching term as in `linear_law`; gains with duration, servo rate, delays,
+    forces and noise (`of_gains`). Gains with which numbers of that loop overflow have a sentence that names it. Does
+    not simulate.
     """
     scene = scene_of(scenario)
     sentences: list[str] = []
-    for check in (_of_legs, of_machine, _of_goal, _of_points):
+    for check in (_of_legs, of_machine, _of_goal, _of_points, of_gate):
         sentences += _evaluated(check, scene)
     for of_scenario in (_of_image, _of_principal_point, _of_duration, _of_dropout, of_motion, _of_unknown_latency):
         sentences += _evaluated(of_scenario, scenario)
