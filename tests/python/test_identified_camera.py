@@ -190,10 +190,10 @@ def test_equal_frames_of_a_rounded_image_or_of_joints_at_rest_count(paper: hs.Sc
     assert fit_camera(rests, Scene(paper)).repeated == 0
 
 
-@pytest.mark.parametrize(("noise", "step"), [(0.0, 1e-6), (0.0, 0.1), (0.005, 0.1), (0.05, 1.0)])
+@pytest.mark.parametrize(("noise", "step"), [(0.0, 1e-6), (0.0, 0.1)])
 def test_images_that_are_equal_at_a_long_rest_count(paper: hs.Scenario, noise: float, step: float) -> None:
     """They are rounded to `step` [px], 1e-6 as of a camera without noise, and the joints are noisy."""
-    log = seen_log(paper, 0.05, stamps=None, noise=noise, rest=1500)
+    log = seen_log(paper, 0.05, stamps=None, noise=noise, rest=7500)
     assert log.frames is not None
     log = replace(log, frames=replace(log.frames, features=np.round(log.frames.features / step) * step))
     assert log.frames is not None
