@@ -406,8 +406,11 @@ def test_what_fits_no_gain_is_refused(scenario: str, key: str, needed: str) -> N
     with pytest.raises(hs.ScenarioError, match=f"^vary.{message}"):
         load_plan(file | {"vary": {key: {"uniform": [0.5, 2.0]}}})
     tune = {"variables": {key: {"uniform": [0.5, 2.0]}}}
-    with pytest.raises(hs.ScenarioError, match=f"^tune.variables.{message}"):
+    with pytest.raises(hs.ScenarioError, match=f"^tune.variables.{message}") as refused:
         load_plan(file | {"vary": {"seed": "each"}, "tune": tune})
+    # no setting gives a damping to the law that has none
+    assert ("set that in the scenario" in str(refused.value)) == (key != "controller.tracking.auto.damping")
+    assert str(refused.value).endswith("drop the key")
 
 
 @pytest.mark.parametrize("scenario", ["paper-composite", "pi-h824"])
@@ -437,7 +440,7 @@ SOURCES: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize("source", SOURCES)
-def test_noise_that_all_runs_share_is_known(source: str) -> None:
+def test_noise_that_all_runs_share_is_known(source: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """It is there exactly where another seed changes a run, and `seed` does not vary."""
     times = {"camera.period": 0.002, "camera.latency": 0.002, "simulation.duration": 0.02}
     still = hs.load_scenario("composite-30hz").updated({"camera.noise": 0.0, "seed": 7, **times})
@@ -449,6 +452,9 @@ def test_noise_that_all_runs_share_is_known(source: str) -> None:
     file = {"scenario": scenario, "vary": vary, "require": ["outcome == completed"], "runs": 10}
     plan = load_plan(file)
     assert plan.common_noise == (7 if differs else None)
+    with monkeypatch.context() as patch:  # a summary of every chunk has it: it is found once
+        patch.setattr("hexservo.campaigns.plan.is_random", None)
+        assert plan.common_noise == (7 if differs else None)
     assert ("seed" in plan.with_own_noise().vary) == differs
     assert load_plan(file | {"vary": vary | {"seed": "each"}}).common_noise is None
 

@@ -483,6 +483,7 @@ WITHOUT_EFFECT: list[tuple[dict[str, Any], dict[str, Any]]] = [
     ({"simulation.mode": "sampled"}, {"camera.outlier_probability": 0.5}),
     ({"simulation.mode": "sampled"}, {"camera.on_lost": "predict"}),
     ({"simulation.mode": "sampled"}, {"camera.gate": 5.0}),
+    ({"simulation.mode": "sampled"}, {"camera.gate": 5.0, "camera.on_lost": "stop"}),
     ({"simulation.mode": "sampled"}, {"sensors.noise": 1e-5, "sensors.period": 0.002, "sensors.rate": True}),
     ({"simulation.mode": "sampled"}, {"sensors.resolution": 1e-5}),
     ({"simulation.mode": "sampled"}, {"base_motion.amplitude": [1.0, 0.0, 0.0], "base_motion.frequency": 3.0}),

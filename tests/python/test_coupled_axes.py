@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 import hexservo as hs
 from fitted_machines import BAND, rotation
+from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.check import unlikely
 from hexservo.findings.coupling import settling_ratio
-from hexservo.scenario.fitted import machine_of
 from test_fitted_gains import with_auto
 
 OFF_CENTRE = [0.0, 0.0, 0.05]  # half a platform radius
@@ -48,7 +50,7 @@ def settled_at(scenario: hs.Scenario) -> float:
 def test_the_time_to_settle_is_that_of_a_run(paper: hs.Scenario, law: str) -> None:
     centred, coupled = (carrying(paper, law, place) for place in ([0.0, 0.0, 0.0], OFF_CENTRE))
     found = settled_at(coupled) / settled_at(centred)
-    assert settling_ratio(machine_of(coupled), law, 1.0) == pytest.approx(found, rel=0.03)
+    assert settling_ratio(Scene(coupled)) == pytest.approx(found, rel=0.03)
 
 
 @pytest.mark.parametrize("law", ["hybrid", "composite", "kelly", "resolved_rate", "pbvs", "computed_torque"])
@@ -57,7 +59,7 @@ def test_coupled_axes_are_warned_of_where_the_law_leaves_them_coupled(paper: hs.
     for centre in ([0.0, 0.0, 0.0], OFF_CENTRE):
         scenario = carrying(paper, law, centre)
         found = [sentence for sentence in unlikely(scenario) if sentence.startswith(words)]
-        ratio = settling_ratio(machine_of(scenario), law, 1.0)
+        ratio = settling_ratio(Scene(scenario))
         assert bool(found) == (ratio < 0.85 or ratio > 1.2)
         if law in ("hybrid", "computed_torque"):
             assert ratio == 1.0
@@ -71,5 +73,45 @@ def test_other_products_of_inertia_couple_axes_too(paper: hs.Scenario) -> None:
     axes = rotation(np.array([0.3, 0.2, 0.0]))
     scenario = carrying(paper, "pbvs", [0.0, 0.0, 0.0])
     turned = scenario.updated({"robot.inertia": (axes @ np.diag([1.5e-4, 1.5e-4, 3e-4]) @ axes.T).tolist()})
-    assert settling_ratio(machine_of(scenario), "pbvs", 1.0) == pytest.approx(1.0, abs=0.01)
-    assert abs(settling_ratio(machine_of(turned), "pbvs", 1.0) - 1.0) > 0.02
+    assert settling_ratio(Scene(scenario)) == pytest.approx(1.0, abs=0.01)
+    assert abs(settling_ratio(Scene(turned)) - 1.0) > 0.02
+
+
+DISPLACED = [-0.01, 0.008, -0.01, -0.02, 0.02, -0.03]  # [m; rad]
+
+
+@pytest.mark.parametrize(
+    ("changes", "warned"),
+    [
+        ({"target.desired_pose": [0.0] * 6, "target.desired_features": None, "simulation.start.pose": DISPLACED}, True),
+        ({"simulation.start.pose": [0.01, -0.008, -0.01, 0.02, -0.02, -0.03]}, False),  # z alone is not coupled
+        ({"simulation.start.pose": [0.01, -0.008, 0.01, 0.02, -0.02, 0.03]}, False),  # the goal itself
+    ],
+)
+def test_the_time_to_settle_is_from_the_start_of_the_scenario(
+    paper: hs.Scenario, changes: dict[str, Any], warned: bool
+) -> None:
+    centred, coupled = (carrying(paper, "pbvs", place).updated(changes) for place in ([0.0, 0.0, 0.0], OFF_CENTRE))
+    assert any("couples the axes" in sentence for sentence in unlikely(coupled)) == warned
+    if warned:
+        assert settling_ratio(Scene(coupled)) == pytest.approx(settled_at(coupled) / settled_at(centred), rel=0.03)
+
+
+@pytest.mark.parametrize("gain", ["kp", "kd"])
+def test_gains_that_are_given_are_not_judged_as_fitted(paper: hs.Scenario, gain: str) -> None:
+    scenario = carrying(paper, "pbvs", OFF_CENTRE)
+    given = 4.0 * np.array(getattr(scenario.controller.pbvs, gain))
+    changed = scenario.updated({f"controller.pbvs.{gain}": given.tolist()})
+    found = [[text for text in unlikely(each) if "couples the axes" in text] for each in (scenario, changed)]
+    assert [len(texts) for texts in found] == [1, 0]
+
+
+def test_without_fuzzy_systems_nothing_adapts(paper: hs.Scenario) -> None:
+    off = {"controller.composite.fuzzy.enabled": False}
+    centred, coupled = (
+        carrying(paper, "composite", place).updated({**off, "simulation.duration": 3.0})
+        for place in ([0.0, 0.0, 0.0], [0.0, 0.0, 0.03])
+    )
+    ratio = settling_ratio(Scene(coupled))
+    assert ratio == pytest.approx(settled_at(coupled) / settled_at(centred), rel=0.07)
+    assert ratio != pytest.approx(settling_ratio(Scene(carrying(paper, "composite", [0.0, 0.0, 0.03]))), rel=0.005)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 import hexservo as hs
+from hexservo.findings.check import unlikely
 
 OUTLIERS = {"camera.outlier_probability": 0.05, "camera.outlier_size": 40.0}
 SEEDS = list(range(40))
@@ -78,5 +81,22 @@ def test_diagnose_offers_a_gate_against_outliers(machine: hs.Scenario) -> None:
     first = found.causes[0]
     assert first.cause == "outliers"
     assert first.remedy is not None
-    assert first.remedy.changes == {"camera.gate": 2.0}
+    camera = machine.camera
+    assert camera.period is not None
+    timeout = pytest.approx(10 * camera.period + camera.latency + camera.latency_jitter)
+    assert first.remedy.changes == {"camera.gate": 2.0, "camera.timeout": timeout}
     assert first.remedy.works
+
+
+def test_a_gate_without_timeout_or_that_the_target_exceeds_is_noted(machine: hs.Scenario) -> None:
+    def notes(changes: dict[str, Any]) -> list[str]:
+        found = unlikely(machine.updated({"camera.gate": 2.0, "camera.timeout": 0.5, **changes}))
+        return [sentence for sentence in found if sentence.startswith("camera.gate")]
+
+    assert notes({}) == []
+    (note,) = notes({"camera.timeout": None})
+    assert "never found again without camera.timeout" in note
+    motion = {"target.motion.kind": "velocity", "target.motion.velocity": [0.5, 0.0, 0.0]}
+    (note,) = notes(motion)
+    assert "2 px is less than the" in note
+    assert notes({**motion, "camera.gate": 100.0}) == []

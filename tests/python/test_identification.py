@@ -216,15 +216,20 @@ def seen_log(
     moving: bool = True,
     noise: float = 0.2,
     seed: int = SEED,
+    rest: int = 0,
 ) -> Log:
-    """A log of a machine whose camera takes 30 frames a second; stamps are late by `stamps` [s]."""
+    """A log of a machine whose camera takes 30 frames a second; stamps are late by `stamps` [s].
+
+    It rests for the last `rest` ticks, of 10 ms, after 5 s of motion.
+    """
     random = np.random.default_rng(seed)
     period, ticks = 0.01, 500
     commands = commands_of(scenario, random, ticks, period, 1e-3 if moving else 0.0)
+    commands = np.concatenate([commands, np.repeat(commands[-1:], rest, axis=0)])
     drives = [Drive(6.0, 0.8, 1)] * 6
     log = record(commands, period, drives, 1e-7, random)
     true = np.stack([drive.follow(commands[:, leg], period) for leg, drive in enumerate(drives)], axis=1)
-    exposure = 0.3 + np.arange(135) / 30.0
+    exposure = 0.3 + np.arange(135 + int(rest * period * 30.0)) / 30.0
     arrival = np.maximum.accumulate(exposure + latency + jitter * random.random(len(exposure)))
     frames = see(scenario, CubicSpline(log.time, true)(exposure), exposure, arrival, noise, random)
     return replace(log, frames=replace(frames, exposure=None if stamps is None else exposure + stamps))

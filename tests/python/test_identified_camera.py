@@ -15,7 +15,7 @@ from hexservo.findings.evidence import Table
 from hexservo.findings.identification.changes import changes_of, faults_of, of_law
 from hexservo.findings.identification.drives import fit_drives
 from hexservo.findings.identification.frame_clock import clock
-from hexservo.findings.identification.frames import CameraFit, fit_camera
+from hexservo.findings.identification.frames import CameraFit, _repeats, fit_camera
 from hexservo.findings.identification.interval import deviations, robust_deviations
 from hexservo.findings.identification.log import Frames, Log
 from test_identification import METRES, SEED, seen_log, within
@@ -136,6 +136,15 @@ def test_exposure_times_that_are_wrong_are_a_fault_and_no_key(paper: hs.Scenario
     assert right.section().verdict == "good"
 
 
+def test_a_machine_of_unknown_latency_uses_no_exposure_times_that_may_be_wrong(paper: hs.Scenario) -> None:
+    """Its scenario refuses `uncertainty.latency`."""
+    machine = hs.load_scenario("pi-h824-positions", {"camera.latency_known": False})
+    log = seen_log(paper, 0.05, stamps=0.02)
+    camera = fit_camera(log, Scene(paper))
+    assert faults_of(log, machine, camera) == {}
+    assert faults_of(log, machine.updated({"camera.latency_known": True}), camera)
+
+
 def test_a_target_of_another_size_gives_no_noise_and_no_good_camera(paper: hs.Scenario) -> None:
     """Its fit displaces the target, and leaves what is no noise: the true one is 0.02 px."""
     points = Scene(paper).points
@@ -193,6 +202,34 @@ def test_an_exact_image_at_rest_does_not_repeat_while_the_joints_have_noise(pape
     rests = replace(log, joints=joints, frames=replace(log.frames, features=features))
     assert (np.diff(features, axis=0) == 0.0).all(axis=1).sum() > 50
     assert fit_camera(rests, Scene(paper)).repeated == 0
+
+
+@pytest.mark.parametrize(("noise", "step"), [(0.0, 1e-6), (0.0, 0.1)])
+def test_images_that_are_equal_at_a_long_rest_count(paper: hs.Scenario, noise: float, step: float) -> None:
+    """They are rounded to `step` [px], 1e-6 as of a camera without noise, and the joints are noisy."""
+    log = seen_log(paper, 0.05, stamps=None, noise=noise, rest=7500)
+    assert log.frames is not None
+    log = replace(log, frames=replace(log.frames, features=np.round(log.frames.features / step) * step))
+    assert log.frames is not None
+    assert (np.diff(log.frames.features, axis=0) == 0.0).all(axis=1).sum() > 100
+    assert not _repeats(log, log.frames).any()
+
+
+def test_frames_that_are_repeated_at_rest_too_do_not_count(paper: hs.Scenario) -> None:
+    log = repeating(seen_log(paper, 0.05, stamps=None, rest=1500))
+    assert log.frames is not None
+    assert _repeats(log, log.frames).sum() == len(log.frames.arrival) // 2
+
+
+def test_repeated_frames_are_no_stragglers(paper: hs.Scenario) -> None:
+    log = seen_log(paper, 0.05, stamps=0.0)
+    twice = repeating(log)
+    assert log.frames is not None
+    assert log.frames.exposure is not None
+    assert twice.frames is not None
+    exposure = np.repeat(log.frames.exposure, 2)
+    camera = fit_camera(replace(twice, frames=replace(twice.frames, exposure=exposure)), Scene(paper))
+    assert (camera.repeated, camera.stragglers) == (135, 0)
 
 
 @pytest.mark.slow

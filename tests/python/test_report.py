@@ -41,7 +41,7 @@ from hexservo.run.samples import parts
 from hexservo.run.summary import summary_sentences
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.pixels import to_pixels
-from hexservo.scenario.wording import apart, joules, number, percent_above, percent_below
+from hexservo.scenario.wording import apart, joules, number, percent_above, percent_below, percent_used
 from test_leg_limits import METRICS as OF_LIMITS
 
 if TYPE_CHECKING:
@@ -482,6 +482,8 @@ def test_a_value_is_not_written_as_the_limit_from_which_it_differs() -> None:
     ]
     assert [percent_above(share) for share in (0.0, 1e-9, 0.5 + 1e-12, 0.501)] == ["0%", "less than 1%", "50%", "51%"]
     assert [percent_below(share) for share in (0.0, 1e-9, 1 - 0.8, 0.209)] == ["0%", "less than 1%", "20%", "20%"]
+    used = [percent_used(share) for share in (0.0, 0.704, 0.9949, 0.9951, 1.0, 1.004, 1.3)]
+    assert used == ["0%", "70%", "99%", "more than 99%", "100%", "more than 100%", "130%"]
 
 
 def test_the_summary_begins_with_the_worst_finding(monkeypatch: pytest.MonkeyPatch, result: hs.Result) -> None:

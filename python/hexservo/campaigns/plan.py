@@ -7,6 +7,7 @@ import hashlib
 import json
 import os
 from collections.abc import Iterator, Mapping
+from functools import cached_property
 from importlib import resources
 from itertools import chain
 from pathlib import Path
@@ -194,7 +195,7 @@ class CampaignPlan(Block):
         """
         return CampaignPlan(**{**self.to_mapping(), "scenario": self.scenario, **keys})
 
-    @property
+    @cached_property
     def common_noise(self) -> int | None:
         """The seed of the noise that all runs share; None where each has its own, or none is random."""
         if "seed" in self.vary:
@@ -279,7 +280,7 @@ def _without_effect(plan: CampaignPlan) -> Iterator[Problem]:
     runs = [plan.scenario, *_at_the_ends(plan)] if idle else []  # a key may make another one act
     for place in idle:
         if needed := needed_by(place[-1], runs):
-            yield place, f"has no effect here; it acts {needed}; set that in the scenario, or drop the key"
+            yield place, f"has no effect here; it acts {needed}"
 
 
 def _without_start(plan: CampaignPlan) -> Iterator[Problem]:

@@ -16,6 +16,7 @@ from hexservo.findings.analysis.loop_of_scenario import NotApplicableError, quie
 from hexservo.findings.analysis.reach import reach_of_start_and_goal
 from hexservo.findings.analysis.scene import Scene, scene_of
 from hexservo.findings.check_gains import of_gains
+from hexservo.findings.check_gate import of_gate
 from hexservo.findings.check_machine import of_machine
 from hexservo.findings.check_motion import of_motion
 from hexservo.scenario.arrays import Array
@@ -45,14 +46,15 @@ def unlikely(scenario: Scenario) -> list[str]:
     Compares the weight at home with the force limits, home with the base, the stroke with the leg lengths, start and
     goal with stroke, joint limits and image, the start's twist with the speed limit, the principal point with the
     image, times of the camera and of the metrics with the duration, the motions of base and target with what machines
-    do (`of_motion`), the period of frames with what finds an unknown latency, the machine with what is built
-    (`of_machine`), and in sampled mode the servo period with the loop of the gains, linearised at home with the
-    switching term as in `linear_law`; gains with duration, servo rate, delays, forces and noise (`of_gains`). Gains
-    with which numbers of that loop overflow have a sentence that names it. Does not simulate.
+    do (`of_motion`), the period of frames with what finds an unknown latency, the gate with the target's motion
+    (`of_gate`), the machine with what is built (`of_machine`), and in sampled mode the servo period with the loop of
+    the gains, linearised at home with the switching term as in `linear_law`; gains with duration, servo rate, delays,
+    forces and noise (`of_gains`). Gains with which numbers of that loop overflow have a sentence that names it. Does
+    not simulate.
     """
     scene = scene_of(scenario)
     sentences: list[str] = []
-    for check in (_of_legs, of_machine, _of_goal, _of_points):
+    for check in (_of_legs, of_machine, _of_goal, _of_points, of_gate):
         sentences += _evaluated(check, scene)
     for of_scenario in (_of_image, _of_principal_point, _of_duration, _of_dropout, of_motion, _of_unknown_latency):
         sentences += _evaluated(of_scenario, scenario)
@@ -300,6 +302,7 @@ class _Condition:
     keys: tuple[str, ...]  # blocks or keys
     acts: Callable[[Scenario], bool]
     when: str  # the condition, as it follows "they act"
+    can_be_met: bool = True  # by other settings of the scenario
 
 
 def _switches(scenario: Scenario) -> bool:
@@ -348,7 +351,9 @@ def _of_auto(law: str) -> tuple[_Condition, ...]:
     bandwidth = _Condition((block,), fits, f"only where one of {', '.join(fitted_keys(law))} acts and is not given")
     if law == _CRITICALLY_DAMPED:
         when = f"only in the blocks of other laws, since the motion of {law} is critically damped"
-        return bandwidth, _Condition((f"{block}.damping",), lambda scenario: scenario.controller.law != law, when)
+        return bandwidth, _Condition(
+            (f"{block}.damping",), lambda scenario: scenario.controller.law != law, when, False
+        )
     return bandwidth, _Condition((f"{block}.damping",), has_bandwidth, f"only with {block}.bandwidth")
 
 
@@ -404,8 +409,10 @@ _CONDITIONS = (
     ),
     _Condition(
         ("camera.on_lost",),
-        lambda scenario: scenario.camera.image_size is not None or scenario.camera.gate is not None,
-        "only with camera.image_size or camera.gate",
+        lambda scenario: (
+            scenario.camera.image_size is not None or (scenario.camera.gate is not None and _predicts(scenario))
+        ),
+        "only with camera.image_size or an acting camera.gate",
     ),
     _Condition(("camera.gate",), _predicts, "only with camera.prediction: encoder or camera.on_lost: predict"),
     _Condition(
@@ -472,7 +479,7 @@ def keys_without_effect(scenario: Scenario) -> list[str]:
 
 
 def needed_by(key: str, scenarios: Iterable[Scenario]) -> str:
-    """Return what a key needs to act, as it follows "it acts", where it acts in none of some scenarios; else "".
+    """Return what a key needs to act, and what to do, as it follows "it acts"; "" where it acts in one of scenarios.
 
     A bandwidth of `auto` is looked at as if the scenarios had one: in a campaign they do.
     """
@@ -481,10 +488,11 @@ def needed_by(key: str, scenarios: Iterable[Scenario]) -> str:
     for condition in _CONDITIONS:
         below = any(f"{key}.".startswith(f"{name}.") for name in condition.keys)
         if below and not any(condition.acts(scenario) for scenario, *_ in given):
-            return condition.when
+            return f"{condition.when}; {_MEET_OR_DROP if condition.can_be_met else 'drop the key'}"
     if bandwidths and all(gains_written(one) == gains_written(other) for one, other in given):
-        return "only where a gain that follows from it acts and is not given"
+        return f"only where a gain that follows from it acts and is not given; {_MEET_OR_DROP}"
     return ""
 
 
+_MEET_OR_DROP = "set that in the scenario, or drop the key"
 _SOME_BANDWIDTHS = (1.0, 2.0)  # [Hz]; any two differ in every gain that depends on it

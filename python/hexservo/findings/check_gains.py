@@ -31,6 +31,9 @@ _OF_MARGIN = 0.5  # share of its gain margin that a feedback may have: 6 dB are 
 _OF_NOISE = 4.0  # deviations of the camera's noise that a jump must be of: six coordinates reach it in 1 of 2600 frames
 _COORDINATES = 6  # of a target's pose
 _COUPLED = 0.85, 1.2  # least and most of the time to settle, over that without products of the inertia
+_OF_MOTION = frozenset(  # spring, damping and adaptation of the laws whose axes an inertia couples
+    ("kp", "kd", "kt", "drive", "fuzzy.adaptation", "gain", "gain_far", "gain_slope", "ki")
+)
 _ROUNDING = 1.0 + 1e-9
 
 
@@ -54,7 +57,7 @@ def of_gains(scene: Scene, fastest: float | None) -> Iterator[str]:
             yield from _of_delay(scenario, key, auto.bandwidth, auto.damping)
         if scenario.actuators.kind == "force":  # other drives get there in their own time, or whatever effort it takes
             yield from _of_forces(scene, key, auto.bandwidth)
-            yield from _of_coupling(scene, key, auto.damping)
+            yield from _of_coupling(scene, key)
         yield from _of_image(scene, key)
     elif scenario.controller.traits.output == "pose":
         bandwidth = scenario.controller.gains.bandwidth
@@ -187,9 +190,11 @@ def _of_forces(scene: Scene, key: str, bandwidth: float) -> Iterator[str]:
         )
 
 
-def _of_coupling(scene: Scene, key: str, damping: float) -> Iterator[str]:
+def _of_coupling(scene: Scene, key: str) -> Iterator[str]:
     """Find an inertia that couples the axes, as that of a centre of mass off the origin: gains are for one axis."""
-    ratio = settling_ratio(machine_of(scene.scenario), scene.scenario.controller.law, damping)
+    if not _OF_MOTION.isdisjoint(chosen_keys(scene.scenario)):  # then the motion is not that of fitted gains
+        return
+    ratio = settling_ratio(scene)
     least, most = _COUPLED
     if ratio < least or ratio > most:  # not where it is not a number
         decoupling = [law for law, traits in _core.LAW_TRAITS.items() if "coriolis_feedforward" in traits.parts]

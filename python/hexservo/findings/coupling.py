@@ -8,32 +8,40 @@ import numpy as np
 from scipy.linalg import expm
 
 from hexservo import _core
+from hexservo.findings.analysis.goal import SHOWN
+from hexservo.findings.analysis.scene import Scene
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.fitted import UPTAKE, Machine
+from hexservo.scenario.fitted import UPTAKE, auto_of, machine_of
 
 _BAND = 0.05  # of the largest image error at the start
 _STEPS = 200  # in a period of the bandwidth
 _PERIODS = 3.0  # in which an error has to settle, with a damping of 1
 
 
-def settling_ratio(machine: Machine, law: str, damping: float) -> float:
+def settling_ratio(scene: Scene) -> float:
     """Return how long the image error takes to 5 %, over the same without products of the inertia.
 
-    Of the fitted gains of a law with viscous damping, from home at rest, to first order about the goal: with S its
-    spring and, of `composite`, the adaptation A as springs with an integral (docs/gains.md),
-    D-bar e'' + K_d e' + S e + p = 0 with p' = A (e' + Lambda e). Of the points that count.
+    Of the fitted gains of a law with viscous damping, from the scenario's start at rest, to first order about the goal:
+    with S its spring and, of `composite` with fuzzy systems, the adaptation A as springs with an integral
+    (docs/gains.md), D-bar e'' + K_d e' + S e + p = 0 with p' = A (e' + Lambda e). Of the points that count.
 
-    1 where the law has no such damping or the inertia no products; infinite where the error does not settle within
-    three periods times the damping, at least 1. NaN where it does not without products, and where no pose shows the
-    goal image.
+    1 where the law has no such damping, the inertia no products, or the start is the goal; infinite where the error
+    does not settle within three periods times the damping, at least 1. NaN where it does not without products, and
+    where no pose shows the goal image.
     """
+    scenario = scene.scenario
+    law, damping, machine = scenario.controller.law, auto_of(scenario).damping, machine_of(scenario)
     parts = _core.LAW_TRAITS[law].parts
     diagonal = np.diag(machine.inertia)
     if "damping" not in parts or "coriolis_feedforward" in parts or np.array_equal(machine.mass, diagonal):
         return 1.0
     if not np.isfinite(machine.displacement).all():
         return math.nan
-    uptake = UPTAKE if "fuzzy" in parts else 0.0
+    displacement = scene.home.moved(machine.displacement).displacement_from(scene.start)
+    if np.abs(machine.jacobian @ displacement).max() <= SHOWN:
+        return 1.0
+    has_fuzzy = "fuzzy" in parts
+    adapts = has_fuzzy and scenario.controller.gains.fuzzy.enabled
     spring = diagonal
     if not _core.LAW_TRAITS[law].pose_error:  # J^T W K_p J
         stiffness = machine.weights * np.tile(1.0 / machine.pointing, len(machine.weights) // 2)
@@ -42,25 +50,34 @@ def settling_ratio(machine: Machine, law: str, damping: float) -> float:
     root = np.sqrt(machine.inertia)
     seen = machine.jacobian[machine.weights > 0.0] / root
     coupled, alone = (
-        _settling(mass / scale, spring / scale, damping, uptake, seen, root * machine.displacement)
+        _settling(
+            mass / scale,
+            spring / scale,
+            2.0 * damping + (UPTAKE if has_fuzzy else 0.0),  # fitted whether or not the fuzzy systems are on
+            2.0 * damping * UPTAKE if adapts else 0.0,
+            damping,
+            seen,
+            root * displacement,
+        )
         for mass in (machine.mass, diagonal)
     )
     return coupled / alone if math.isfinite(alone) else math.nan
 
 
-def _settling(mass: Array, spring: Array, damping: float, uptake: float, seen: Array, start: Array) -> float:
+def _settling(
+    mass: Array, spring: Array, friction: float, adaptation: float, damping: float, seen: Array, start: Array
+) -> float:
     """Return when `seen @ e` is within the band for good, in units of 1/omega; infinite where it is not.
 
-    In units in which the diagonal of the inertia is 1.
+    In units in which the diagonal of the inertia is 1: `friction` is K_d, `adaptation` A.
     """
     size = len(mass)
     zero, one = np.zeros_like(mass), np.eye(size)
-    adaptation = 2.0 * damping * uptake  # A
     rate = 1.0 / (2.0 * damping)  # Lambda
     motion = np.block(
         [
             [zero, one, zero],
-            np.split(-np.linalg.solve(mass, np.hstack([spring, (2.0 * damping + uptake) * one, one])), 3, axis=1),
+            np.split(-np.linalg.solve(mass, np.hstack([spring, friction * one, one])), 3, axis=1),
             [adaptation * rate * one, adaptation * one, zero],
         ]
     )

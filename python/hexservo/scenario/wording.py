@@ -54,6 +54,17 @@ def percent_below(share: float) -> str:
     return _percent(share, math.floor)
 
 
+def percent_used(share: float) -> str:
+    """Write the used share of a limit, to the nearest percent but "100%" only of all of it: "more than 99%" below.
+
+    Just above, it is "more than 100%".
+    """
+    nearest = f"{share:.0%}"
+    if nearest != "100%" or share == 1.0:
+        return nearest
+    return "more than 99%" if share < 1.0 else "more than 100%"
+
+
 def _percent(share: float, whole: Callable[[float], int]) -> str:
     # 9 decimals: 100 (1 - 0.8) has an error of its last digits, which makes no percent
     return "less than 1%" if 0.0 < share < 0.01 else f"{whole(round(100.0 * share, 9))}%"

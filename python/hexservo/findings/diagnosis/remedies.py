@@ -13,6 +13,8 @@ from hexservo.findings.diagnosis.goal import resized_image
 from hexservo.findings.diagnosis.model import Case, Removal
 from hexservo.scenario.laws import laws_with
 from hexservo.scenario.leg_units import leg_units
+from hexservo.scenario.parameters import frame_period
+from hexservo.scenario.wording import quantity
 
 
 def slower_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
@@ -118,6 +120,7 @@ def lost_features_remedies(case: Case, removal: Removal, record: Record) -> list
 
 
 _GATE = 10.0  # of the noise, or the rounding, of a coordinate: far beyond what a right image differs by
+_TIMEOUT = 10  # frame periods, beyond latency and jitter, after which what is expected of a point no longer counts
 _LEAST_GATE = 2.0  # [px], for what depths and joint sensors carry along wrongly
 
 
@@ -132,6 +135,11 @@ def outliers_remedies(case: Case, removal: Removal, record: Record) -> list[Remo
     if camera.prediction == "none":
         changes["camera.prediction"] = "encoder"
         words += ", and prediction from the joint sensors"
+    if camera.timeout is None:  # a point that has gone elsewhere is never found again without one
+        step = case.scenario.simulation.step
+        late = _TIMEOUT * frame_period(case.scenario) + camera.latency + camera.latency_jitter
+        changes["camera.timeout"] = float(f"{math.ceil(late / step - 1e-9) * step:.9g}")
+        words += f", and a timeout of {quantity(changes['camera.timeout'], 's')}"
     return [Removal(words, changes), removal]
 
 

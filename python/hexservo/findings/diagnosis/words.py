@@ -11,7 +11,7 @@ from hexservo.findings.diagnosis.findings import Finding, Remedy
 from hexservo.run.leg_limits import LimitUse, limits_of_motion
 from hexservo.run.result import Result
 from hexservo.scenario.leg_units import leg_units
-from hexservo.scenario.wording import apart, number
+from hexservo.scenario.wording import apart, number, percent_used
 
 FEW = 40  # samples, or steps
 _NEAR = 0.7  # share of a limit beyond which there is a warning
@@ -79,9 +79,12 @@ def criteria_met(result: Result, record: Record, judgement: Judgement) -> tuple[
     return (
         f"it is settled, with {number(judgement.error * metrics.band)} px of the band of {number(metrics.band)} px "
         f"in the last {number(metrics.dwell)} s",
-        f"the legs use {judgement.stroke:.0%} of their stroke of {number(stroke * 1e3, 4)} {unit}",
+        f"the legs use {percent_used(judgement.stroke)} of their stroke of {number(stroke * 1e3, 4)} {unit}",
         f"they drift at {number(record.drift * 1e3, 2)} {unit}/s, where {allowed:.2g} {unit}/s are allowed",
-        *(f"the largest {use.limit.of_leg} is {use.share:.0%} of its limit" for use in _uses(result, judgement)),
+        *(
+            f"the largest {use.limit.of_leg} is {percent_used(use.share)} of its limit"
+            for use in _uses(result, judgement)
+        ),
     )
 
 
@@ -104,7 +107,7 @@ def warnings_of(result: Result, judgement: Judgement) -> tuple[str, ...]:
             *((f"the {use.limit.of_leg}", use.share) for use in _uses(result, judgement)),
         ):
             if ratio > _NEAR:
-                found.append(f"Near failing: {what} is {ratio:.0%} of what is allowed.")
+                found.append(f"Near failing: {what} is {percent_used(ratio)} of what is allowed.")
     for event in result.events:
         if event.kind == "force" and not judgement.failed:  # of a failed run it is a symptom
             found.append(

@@ -21,6 +21,7 @@ from hexservo.run.progress import ProgressCallback, reporting
 from hexservo.scenario.fields import described
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.leg_units import leg_units
+from hexservo.scenario.pixels import feature_noise
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import wrong_type
 
@@ -40,7 +41,7 @@ class Identification(Findings):
     motors: MotorFit | None = None  # None where they were not asked for, or not all legs moved
     rounded: dict[str, Any] = field(default_factory=dict)  # times of the machine in whole ticks of the log, likewise
     faults: dict[str, Any] = field(default_factory=dict)  # keys of wrong times of exposure, likewise
-    end: LogEnd | None = None  # how far from the goal the log ends; None where it has no image of the goal's points
+    end: LogEnd | str = ""  # how far from the goal the log ends, or why the log does not tell
 
     @property
     def as_logged(self) -> Scenario:
@@ -135,5 +136,5 @@ def identify(
         found,
         rounded,
         faults_of(record, scenario, camera),
-        end_of(record, scene),
+        end_of(record, scene, feature_noise(scenario.camera)),
     )

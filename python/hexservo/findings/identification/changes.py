@@ -71,8 +71,11 @@ def of_law(machine: Scenario, changes: Mapping[str, Any]) -> dict[str, Any]:
 def faults_of(log: Log, scenario: Scenario, camera: CameraFit | None) -> dict[str, Any]:
     """Return the key of exposure times that are wrong by more than half a tick, as the logged machine has them.
 
-    It is no key of the identified scenario, whose exported controller would assume that error.
+    It is no key of the identified scenario, whose exported controller would assume that error. None of a machine whose
+    latency is not known (`camera.latency_known: false`): its controller uses no exposure times.
     """
+    if not scenario.camera.latency_known:
+        return {}
     if camera is None or not camera.explains or camera.stamps is None or not camera.stamps_are_wrong:
         return {}
     step = float(f"{log.period:.9g}")

@@ -17,7 +17,7 @@ from hexservo import _core
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.identification.frame_clock import clock
-from hexservo.findings.identification.interval import LEVEL, Interval, correlated, half_width, robust_deviations
+from hexservo.findings.identification.interval import LEVEL, NORMAL, Interval, correlated, half_width, robust_deviations
 from hexservo.findings.identification.log import FITTED, LEAST_EXPLAINED, Frames, Log, leg_moves
 from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array, Mask
@@ -33,9 +33,8 @@ _TARGET = 6  # numbers of its displacement
 _RARE = 0.01  # share of the frames at either end of the latencies from which jitter is not taken
 _SAME = 1e-9  # times that differ by less are the same [s]
 _WHITE = 2.0  # frames over which what a fit with the true calibration leaves is correlated, at most
-# Of the frames that are equal to the one before: more with some equal coordinates are rounded, and fewer while the
-# joints move are none of a driver that repeats them.
-_BY_ITSELF = 0.05
+_BY_ITSELF = 0.05  # of the frames that are equal to the one before: more are equal since the image is rounded, or rests
+_CLEAR = 5.0  # resolutions of the image, or deviations of the joints' noise, from which on there is motion
 _APPARENT = 3.0  # [px]: what a displaced target moves the image by from which on the scenario does not see alike
 _EDGE = 5e-4  # latencies that are so near to an end of what is searched, or to 0, are no different from it [s]
 
@@ -153,26 +152,42 @@ def fit_camera(log: Log, scene: Scene) -> CameraFit:
     late_by = mean + shift.value
     ends = (end if np.isinf(end) else late_by + side * wide for end, side in ((shift.low, -1), (shift.high, 1)))
     latency = Interval(late_by, *map(float, ends))
-    return replace(found, latency=latency, jitter=jitter, stamps=shift, stragglers=count - len(usual))
+    return replace(found, latency=latency, jitter=jitter, stamps=shift, stragglers=len(late) - len(usual))
 
 
 def _repeats(log: Log, frames: Frames) -> Mask:
     """Return which frames (m,) repeat the one before, as of a driver that is asked more often than the camera.
 
-    Noise changes every coordinate: a frame that is equal in all of them is no new one. An image that is rounded, in
-    which single coordinates are equal from frame to frame too, or that has no noise may be equal at rest: none is a
-    repetition where coordinates are often equal by themselves, nor where the image is equal only while the joints are
-    at rest, but for their noise: slower than half of what is usual where it changes.
+    Noise changes every coordinate: a frame that is equal in all of them is no new one. An image that is rounded or has
+    no noise may be equal by itself. A run of equal frames shows a repeating driver where the joints move throughout it,
+    beyond their noise, and the image changes by well over its resolution before and after. None is a repetition
+    without such a run, nor where the image is often equal by itself: in single coordinates, or in runs that are far
+    longer, as at rest.
     """
-    same = np.diff(frames.features, axis=0) == 0.0
-    whole = same.all(axis=1)
-    ticks = np.clip(np.searchsorted(log.time, frames.arrival, side="right") - 1, 0, None)
-    speed = np.abs(np.diff(log.joints[ticks], axis=0)).max(axis=1) / np.maximum(np.diff(frames.arrival), _SAME)
-    usual = 0.0 if whole.all() else float(np.median(speed[~whole]))
-    moving = speed > 0.5 * usual
-    rounded = (same.any(axis=1) & ~whole).sum() > _BY_ITSELF * whole.sum()
-    repeating = bool((whole & moving).sum() > _BY_ITSELF * whole.sum()) and not rounded
+    steps = np.abs(np.diff(frames.features, axis=0))
+    largest, single, whole = steps.max(axis=1), (steps == 0.0).any(axis=1), ~steps.any(axis=1)
+    runs = np.flatnonzero(np.diff(np.concatenate([[False], whole, [False]]).astype(int))).reshape(-1, 2)
+    if not len(runs) or whole.all():
+        return np.zeros(len(frames.arrival), dtype=bool)
+    clear: Mask = largest > _CLEAR * steps[steps > 0.0].min()
+    moved = _joints_move(log, frames.arrival)
+    shows = [
+        bool(first > 0 and end < len(clear) and clear[first - 1] and clear[end] and moved[first:end].all())
+        for first, end in runs
+    ]
+    lengths = np.diff(runs, axis=1).ravel()
+    far_longer = lengths[lengths > 2 * lengths[shows].max(initial=0)].sum()
+    by_itself = max((single & ~whole).sum(), far_longer) > _BY_ITSELF * whole.sum()
+    repeating = any(shows) and not by_itself
     return np.concatenate([[False], whole & repeating])
+
+
+def _joints_move(log: Log, arrival: Array) -> Mask:
+    """Return whether a joint moves beyond its noise from the arrival of a frame to that of the next, (m - 1,)."""
+    ticks = np.clip(np.searchsorted(log.time, arrival, side="right") - 1, 0, None)
+    # of white noise the second differences have sqrt(6) times its deviation, and the first sqrt(2) times
+    noise = NORMAL * np.median(np.abs(np.diff(log.joints, n=2, axis=0)), axis=0) / np.sqrt(3.0)
+    return np.asarray((np.abs(np.diff(log.joints[ticks], axis=0)) > _CLEAR * noise).any(axis=1))
 
 
 def _not_fitted(scene: Scene, frames: Frames) -> str:

@@ -11,6 +11,8 @@ from hexservo.scenario.arrays import Array
 
 LEVEL = 0.95
 """Confidence of all intervals."""
+NORMAL = 1.4826
+"""Standard deviation over the median of the magnitudes, of Gaussian noise about zero."""
 
 _WIDEST = 100.0  # ratio of the ends of an interval, beyond which the log does not determine a positive number
 _ZERO = 1e-13  # of eigenvalues of a matrix whose diagonal is 1

@@ -11,6 +11,7 @@ from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Section, Verdict, as_data
 from hexservo.findings.identification import Identification
 from hexservo.findings.identification.frames_words import doubts
+from hexservo.findings.identification.log_end import LogEnd
 from hexservo.scenario.wording import number
 
 
@@ -30,7 +31,7 @@ class LogDiagnosis(Findings):
     def lacks_a_fault(self) -> bool:
         """Whether the machine rests off its goal and the identified model passes."""
         end = self.identification.end
-        return self.model.failed is False and end is not None and end.rests and not end.settled
+        return self.model.failed is False and isinstance(end, LogEnd) and end.rests and not end.settled
 
     def sections(self) -> tuple[Section, ...]:
         """Return the only section: what the log shows, what is doubtful of the model, and its diagnosis."""
@@ -39,7 +40,7 @@ class LogDiagnosis(Findings):
     def to_dict(self) -> dict[str, Any]:
         """Return the numbers of the model's run, and of the log, for strict JSON."""
         end = self.identification.end
-        ends = None if end is None else {**asdict(end), "settled": end.settled}
+        ends = {**asdict(end), "settled": end.settled} if isinstance(end, LogEnd) else None
         doubtful = [{"name": part.name, "sentences": list(part.sentences)} for part in self.identification.doubtful]
         of_log = {"log": ends, "faults": self.identification.faults, "doubtful": doubtful}
         return {**self.model.to_dict(), "failed": self.failed, **as_data(of_log)}
@@ -76,23 +77,25 @@ def _verdict(found: LogDiagnosis, of_model: Verdict) -> Verdict:
         return "open"
     if found.lacks_a_fault:
         return "warning"
-    return of_model if end is not None and end.settled else "open"
+    return of_model if isinstance(end, LogEnd) and end.settled else "open"
 
 
 def _of_log(found: LogDiagnosis) -> str:
     end, passes = found.identification.end, found.model.failed is False
-    if end is None:
-        return "The log has no image of the goal's points: it does not tell whether the machine reaches its goal."
-    last = f"{number(end.error)} px from the goal in its last {number(end.dwell)} s"
+    if isinstance(end, str):
+        return f"{end}: it does not tell whether the machine reaches its goal."
+    median = f"{number(end.error)} px from the goal, in the median of its last {number(end.dwell)} s"
     band = f"the band of {number(end.band)} px"
     fault = "the machine has a fault that the model lacks"
     if end.settled:
-        return f"The log settles: it is at most {last}, within {band}."
+        noise = f" and the {number(end.noise_error)} px that noise may add" if end.error > end.band else ""
+        return f"The log settles: it is {median}, within {band}{noise}."
     if not end.rests:
         more = f", and as the model passes, {fault}" if passes else ""
+        beyond = f"outside {band}" if end.error > end.band + end.noise_error else f"and swings by more than {band}"
         return (
-            f"The log ends in motion, up to {last}, outside {band}. One of jumps, for identification, is not expected "
+            f"The log ends in motion, {median}, {beyond}. One of jumps, for identification, is not expected "
             f"to settle; if it is of the loop with this goal, the loop does not settle{more}."
         )
     more = f" The identified model does: {fault}, unless the log is of another goal or of no loop." if passes else ""
-    return f"The log does not settle: it rests up to {last}, outside {band}.{more}"
+    return f"The log does not settle: it rests {median}, outside {band}.{more}"

@@ -1,4 +1,4 @@
-"""Whether the machine of a log reached its goal: the error of the last images."""
+"""Whether the machine of a log reached its goal: the error of the last images, without the camera's noise."""
 
 from __future__ import annotations
 
@@ -7,43 +7,83 @@ from dataclasses import dataclass
 import numpy as np
 
 from hexservo.findings.analysis.scene import Scene
+from hexservo.findings.identification.interval import NORMAL
 from hexservo.findings.identification.log import Log
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.pixels import to_features
+from hexservo.scenario.wording import quantity
 
 _REST = (
     0.25  # share of the log over whose end the image of a machine at rest stays: jumps for identification are shorter
 )
-_STAYS = 0.5  # of the settling band: largest standard deviation of a coordinate that stays
+_STAYS = 0.5  # of the settling band: largest spread of a coordinate that stays
 _FEWEST = 3  # frames that show that an image stays
+_ALLOWED = 3.0  # standard errors that noise may make of a median or a spread
+# Standard errors of white Gaussian noise of deviation 1, times the root of the number of values
+_OF_MEDIAN = 1.2533
+_OF_SPREAD = 1.1664
+_LATE = 5  # frame periods, after the dwell time, by which the last complete image may be before the end of the log
 
 
 @dataclass(frozen=True)
 class LogEnd:
     """How far from the goal a log ends, and what the scenario's metrics allow."""
 
-    error: float  # largest of a coordinate in the dwell time before the last frame [px]
+    error: float  # largest of a coordinate's median over the dwell time before the last frame [px]
+    noise_error: float  # what noise may make of `error` [px]
+    swings: bool  # whether a coordinate spreads by more than the band in that time, its noise apart
     band: float  # within which it is settled [px]
     dwell: float  # [s]
     rests: bool  # whether the image stays where it is over the last quarter of the log
 
     @property
     def settled(self) -> bool:
-        """Whether the last images are within the band."""
-        return self.error <= self.band
+        """Whether the last images are within the band, but for noise."""
+        return self.error <= self.band + self.noise_error and not self.swings
 
 
-def end_of(log: Log, scene: Scene) -> LogEnd | None:
-    """Return how far from the scenario's goal the images of a log end; None where it has none of the goal's points."""
+def end_of(log: Log, scene: Scene, noise: float = 0.0) -> LogEnd | str:
+    """Return how far from the scenario's goal the images of a log end, or why it does not tell.
+
+    Medians, and spreads by the median distance from them, leave out outliers of less than half of the frames.
+
+    Parameters
+    ----------
+    log
+        Of a machine.
+    scene
+        Of its scenario.
+    noise
+        Standard deviation of a coordinate, of an image at rest [px].
+    """
     metrics, frames = scene.scenario.metrics, log.frames
     if frames is None or frames.features.shape[1] != len(scene.desired):
-        return None
+        return "The log has no image of the goal's points"
     features = to_features(scene.scenario, frames.features)
     shown = np.isfinite(features).all(axis=1)  # a lens shows no point at some pixels
     if not shown.any():
-        return None
+        return "The log has no image of the goal's points"
     features, arrival = features[shown], frames.arrival[shown]
+    before_end = float(log.time[-1] - arrival[-1])
+    between = float(np.median(np.diff(arrival))) if len(arrival) > 1 else 0.0
+    if before_end > metrics.dwell + _LATE * between:
+        return f"The log's last image of all of the goal's points is {quantity(before_end, 's')} before its end"
     last = features[arrival >= arrival[-1] - metrics.dwell]
-    error = float(np.abs(last - scene.desired).max())
+    error = float(np.abs(np.median(last, axis=0) - scene.desired).max())
+    noise_error = _ALLOWED * _OF_MEDIAN * noise / float(np.sqrt(len(last)))
     late = features[arrival >= arrival[-1] - max(metrics.dwell, _REST * float(np.ptp(log.time)))]
-    rests = len(late) >= _FEWEST and float(late.std(axis=0).max()) <= _STAYS * metrics.band
-    return LogEnd(error, metrics.band, metrics.dwell, rests)
+    return LogEnd(
+        error,
+        noise_error,
+        not _stays_within(last, metrics.band, noise),
+        metrics.band,
+        metrics.dwell,
+        len(late) >= _FEWEST and _stays_within(late, _STAYS * metrics.band, noise),
+    )
+
+
+def _stays_within(features: Array, most: float, noise: float) -> bool:
+    """Return whether each coordinate, (m, 2p) [px], spreads by no more than `most` beside noise."""
+    spread = NORMAL * np.median(np.abs(features - np.median(features, axis=0)), axis=0)
+    of_noise = noise * (1.0 + _ALLOWED * _OF_SPREAD / np.sqrt(len(features)))
+    return bool((spread <= np.hypot(most, of_noise)).all())
