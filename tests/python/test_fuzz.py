@@ -26,7 +26,7 @@ TRIALS = {
     "certify": 15,
     "analyse": 12,
     "diagnose": 10,
-    "batch": 10,
+    "batch": 16,
     "ticks": 40,
     "results": 250,
     "special": 60,
