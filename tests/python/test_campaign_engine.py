@@ -19,7 +19,7 @@ import pytest
 import hexservo as hs
 from hexservo.campaigns.chunks import unsealed_chunk
 from hexservo.campaigns.intervals import anytime_interval, clopper_pearson
-from hexservo.campaigns.plan import load_plan
+from hexservo.campaigns.plan import CampaignPlan, load_plan
 from hexservo.campaigns.store import plan_text, read_plan
 from hexservo.run.publish import OutputError
 
@@ -158,6 +158,8 @@ def test_a_run_too_long_for_a_log_has_a_scenario_that_runs(tmp_path: Path) -> No
         "runs": 8,
         "stream": 1,
     }
+    for stream in range(2, 12):  # of some, run 0 is the long one
+        CampaignPlan(**{**file, "stream": stream})
     result = hs.campaign(file, tmp_path / "out")
     scenarios = [result.scenario(index) for index in range(len(result))]
     logs = {scenario.simulation.duration: scenario.simulation.log_every for scenario in scenarios}

@@ -100,3 +100,21 @@ def test_a_gate_without_timeout_or_that_the_target_exceeds_is_noted(machine: hs.
     (note,) = notes(motion)
     assert "2 px is less than the" in note
     assert notes({**motion, "camera.gate": 100.0}) == []
+
+
+@pytest.mark.parametrize(
+    ("motion", "words"),
+    [
+        ({"kind": "velocity", "velocity": [0.03, 0.0, 0.0]}, "1 px is less than the"),
+        ({"kind": "velocity", "velocity": [0.0, 0.0, 0.03]}, ""),  # along the optical axis
+        ({"kind": "sinusoid", "amplitude": [2e-4, 0.0, 0.0], "frequency": 120.0}, ""),  # twice the amplitude at most
+        ({"kind": "sinusoid", "amplitude": [2e-3, 0.0, 0.0], "frequency": 120.0}, "1 px is less than the"),
+    ],
+)
+def test_check_notes_a_target_that_moves_farther_than_the_gate(
+    machine: hs.Scenario, motion: dict[str, object], words: str
+) -> None:
+    gated = machine.updated({"camera.gate": 1.0, "camera.timeout": 0.5, "target.motion": motion})
+    notes = " ".join(note for note in unlikely(gated) if note.startswith("camera.gate"))
+    assert words in notes
+    assert bool(words) == bool(notes)

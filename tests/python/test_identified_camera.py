@@ -171,6 +171,17 @@ def repeating(log: Log) -> Log:
     return replace(log, frames=Frames(np.repeat(log.frames.features, 2, axis=0), arrival, None))
 
 
+def test_a_driver_that_is_asked_at_every_tick_repeats_its_frames(paper: hs.Scenario) -> None:
+    """Of which there are three or four for each frame of the camera."""
+    log = seen_log(paper, 0.05, stamps=None)
+    assert log.frames is not None
+    asked = log.time[(log.time >= log.frames.arrival[0]) & (log.time <= log.frames.arrival[-1])]
+    newest = np.searchsorted(log.frames.arrival, asked + 1e-9, side="right") - 1
+    found = fit_camera(replace(log, frames=Frames(log.frames.features[newest], asked, None)), Scene(paper))
+    assert found.repeated == len(asked) - len(np.unique(newest))
+    assert found.period == pytest.approx(1 / 30, rel=1e-3)
+
+
 def test_frames_that_are_repeated_do_not_count(paper: hs.Scenario) -> None:
     log = seen_log(paper, 0.05, stamps=None)
     assert log.frames is not None  # as written with six digits: a few coordinates are equal by chance

@@ -88,6 +88,20 @@ def test_an_oscillation_about_the_goal_does_not_settle(paper: hs.Scenario, passi
     assert "and swings by more than the band of 2 px" in diagnosed(passing, end=end).sections()[0].sentences[0]
 
 
+@pytest.mark.parametrize("last", [0.05, 0.09, 0.14])
+def test_a_machine_that_leaves_the_goal_at_the_end_does_not_settle(paper: hs.Scenario, last: float) -> None:
+    """Of less than half of the dwell time the median knows nothing."""
+    time = np.arange(4.0, step=0.01)
+    goal = Scene(paper).desired
+    images = goal + np.random.default_rng(SEED).normal(0.0, 0.1, (len(time), len(goal)))
+    legs = np.full((len(time), 6), 0.2)
+    for away in (100.0 * (time > time[-1] - last), 10.0 * np.exp(8.0 * (time - time[-1]))):
+        log = Log(time, 0.01, legs, legs, Frames(images + away[:, None], time, None))
+        end = end_of(log, Scene(paper), 0.1)
+        assert isinstance(end, LogEnd)
+        assert (end.settled, end.rests) == (False, False)
+
+
 def test_a_camera_that_stops_before_the_log_tells_nothing_of_its_end(paper: hs.Scenario, passing: Diagnosis) -> None:
     log = log_to(paper, 0.0)
     assert log.frames is not None
@@ -117,7 +131,8 @@ def test_a_log_that_rests_off_the_goal_of_a_model_that_passes_is_not_good(passin
     found = diagnosed(passing, end=RESTS).sections()[0]
     assert found.verdict == "warning"
     assert (
-        "The log does not settle: it rests 48.4 px from the goal, in the median of its last 0.2 s" in found.sentences[0]
+        "The log does not settle: it rests 48.4 px from the goal, in the median of its last images"
+        in found.sentences[0]
     )
     assert "the machine has a fault that the model lacks" in found.sentences[0]
     assert found.sentences[-1].startswith("The identified model passes: it is settled")

@@ -818,7 +818,7 @@ def test_depths_whose_image_jacobian_overflows_are_refused() -> None:
         deque([0.0, 0.0, 9.81]),
         range(3),
         pd.Series([0.0, 0.0, 9.81]),
-        xarray.DataArray([0.0, 0.0, 9.81]),
+        xarray.DataArray([0.0, 0.0, 9.81], attrs={"units": "m/s^2"}),
         np.array([0.0, 0.0, 9.81], dtype=np.longdouble),
         np.ma.array([0.0, 0.0, 9.81]),
     ],

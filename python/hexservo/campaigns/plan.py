@@ -50,6 +50,7 @@ from hexservo.scenario.yaml import ScenarioError, dump_yaml, read_yaml
 
 MAX_RUNS = 10**12
 CHUNK_SIZE = 5000
+MOST_LOG_EVERY = 10**9  # that a scenario may have
 _OF_LIMITS = {  # metrics that only some scenarios have
     "peak_leg_speed": "robot.speed_limit",
     "peak_base_joint": "robot.joint_limit",
@@ -135,7 +136,9 @@ class CampaignPlan(Block):
             got = f"{drawing.dimension} numbers that vary, which have 2^{drawing.dimension} corners"
             raise refusal((("tune", "over"), f"corners: expected 1 to {_MOST_CORNERS} numbers that vary, got {got}"))
         try:
-            checked_variations(self.scenario.updated(drawing.base), drawing.variations(drawing.numbers(0, 1)))
+            # of a run too, whose samples would not fit a log: a campaign keeps none
+            base = self.scenario.updated({**drawing.base, "simulation.log_every": MOST_LOG_EVERY})
+            checked_variations(base, drawing.variations(drawing.numbers(0, 1)))
         except ValueError as error:
             raise refusal(*((("vary",), line) for line in str(error).splitlines())) from None
         return self

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from hexservo.campaigns.chunks import Tally, tally_of
 from hexservo.campaigns.intervals import anytime_interval, clopper_pearson
-from hexservo.campaigns.plan import CampaignPlan
+from hexservo.campaigns.plan import MOST_LOG_EVERY, CampaignPlan
 from hexservo.campaigns.store import Store, read_plan
 from hexservo.campaigns.words import summary_section
 from hexservo.findings.display import Findings
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from hexservo.findings.evidence import Section
-
-_MOST_LOG_EVERY = 10**9  # that a scenario may have
 
 
 @described
@@ -236,7 +234,7 @@ def scenario_and_changes(base: Scenario, changes: Mapping[str, Any]) -> tuple[Sc
     except ScenarioError as error:
         every = 2 * changes.get("simulation.log_every", base.simulation.log_every)
         of_log = all(problem.startswith("simulation.log_every:") for problem in error.problems)
-        if not of_log or every > _MOST_LOG_EVERY:
+        if not of_log or every > MOST_LOG_EVERY:
             raise
     return scenario_and_changes(base, {**changes, "simulation.log_every": every})
 

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from hexservo.findings.analysis.scene import Scene
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.motion import TargetMotion
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.wording import number
@@ -23,8 +24,9 @@ def of_gate(scene: Scene) -> Iterator[str]:
             "camera.gate: a point that has gone elsewhere is never found again without camera.timeout; set that to "
             "some frame periods beyond the latency"
         )
-    by_metre = np.linalg.norm(scene.view(scene.home).jacobian[:, :3].reshape(-1, 2, 3), ord=2, axis=(1, 2)).max()
-    moved = float(by_metre) * _speed(scene.scenario.target.motion) * frame_period(scene.scenario)
+    motion = _from_frame_to_frame(scene.scenario.target.motion, frame_period(scene.scenario))
+    by_metre = scene.view(scene.home).jacobian[:, :3].reshape(-1, 2, 3)
+    moved = float(np.linalg.norm(by_metre @ motion.T, axis=1).max(initial=0.0))
     if moved > camera.gate:
         yield (
             f"camera.gate: {number(camera.gate)} px is less than the {number(moved)} px that target.motion moves the "
@@ -32,13 +34,17 @@ def of_gate(scene: Scene) -> Iterator[str]:
         )
 
 
-def _speed(motion: TargetMotion) -> float:
-    """Return the largest speed of a target [m/s]."""
+def _from_frame_to_frame(motion: TargetMotion, period: float) -> Array:
+    """Return displacements of a target from one frame to the next, the largest ones among them, (n, 3) [m]."""
     if motion.kind == "velocity":
-        return float(np.linalg.norm(motion.velocity))
-    if motion.kind == "sinusoid":
-        return 2.0 * math.pi * motion.frequency * float(np.linalg.norm(motion.amplitude))
+        return period * np.array([motion.velocity], dtype=float)
+    if motion.kind == "sinusoid":  # sin(a + d) - sin(a) = 2 cos(a + d/2) sin(d/2)
+        turn = 2.0 * math.pi * motion.frequency * period
+        share = 2.0 * (abs(math.sin(turn / 2.0)) if turn < math.pi else 1.0)  # frames may begin anywhere in it
+        return share * np.array([motion.amplitude], dtype=float)
     if motion.kind == "recorded" and motion.samples is not None and motion.sample_period is not None:
-        steps = np.diff(np.asarray(motion.samples, dtype=float), axis=0)
-        return float(np.linalg.norm(steps, axis=1).max(initial=0.0)) / motion.sample_period
-    return 0.0
+        samples = np.asarray(motion.samples, dtype=float)
+        time = motion.sample_period * np.arange(len(samples))
+        later = np.column_stack([np.interp(time + period, time, column) for column in samples.T])
+        return np.asarray(later - samples)
+    return np.zeros((0, 3))

@@ -39,12 +39,16 @@ def plain(value: Any, place: str = "", depth: int = 0) -> Any:
     return value
 
 
+# What a type of quantities has, as those of Pint and of Astropy: their numbers are in units that nobody would read.
+_OF_UNITS = (("units", "magnitude"), ("unit", "to_value"))
+
+
 def _of_numpy(value: Any, place: str) -> Any:
     """Return arrays, and what NumPy reads as an array of numbers, as lists or numbers of Python; the rest as it is."""
     if isinstance(value, memoryview) or (hasattr(value, "__array__") and not isinstance(value, type | np.generic)):
         if np.ma.is_masked(value):  # which a list would have as null
             raise ScenarioError(f"{place}: expected a value without a mask, got a masked one; fill it in")
-        if any(hasattr(value, name) for name in ("units", "magnitude")):
+        if any(all(hasattr(type(value), name) for name in names) for names in _OF_UNITS):
             raise ScenarioError(f"{place}: expected plain numbers, got a value that has a unit; convert it")
         if not isinstance(value, np.ndarray):
             try:

@@ -6,6 +6,7 @@ agrees best with the image; where the target is, is found with it. Frames of a m
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -159,8 +160,8 @@ def _repeats(log: Log, frames: Frames) -> Mask:
     """Return which frames (m,) repeat the one before, as of a driver that is asked more often than the camera.
 
     Noise changes every coordinate: a frame that is equal in all of them is no new one. An image that is rounded or has
-    no noise may be equal by itself. A run of equal frames shows a repeating driver where the joints move throughout it,
-    beyond their noise, and the image changes by well over its resolution before and after. None is a repetition
+    no noise may be equal by itself. A run of equal frames shows a repeating driver where the joints move in both halves
+    of it, beyond their noise, and the image changes by well over its resolution before and after. None is a repetition
     without such a run, nor where the image is often equal by itself: in single coordinates, or in runs that are far
     longer, as at rest.
     """
@@ -170,9 +171,9 @@ def _repeats(log: Log, frames: Frames) -> Mask:
     if not len(runs) or whole.all():
         return np.zeros(len(frames.arrival), dtype=bool)
     clear: Mask = largest > _CLEAR * steps[steps > 0.0].min()
-    moved = _joints_move(log, frames.arrival)
+    moves = _movement(log, frames.arrival)
     shows = [
-        bool(first > 0 and end < len(clear) and clear[first - 1] and clear[end] and moved[first:end].all())
+        bool(first > 0 and end < len(clear) and clear[first - 1] and clear[end] and moves(first, end))
         for first, end in runs
     ]
     lengths = np.diff(runs, axis=1).ravel()
@@ -182,12 +183,20 @@ def _repeats(log: Log, frames: Frames) -> Mask:
     return np.concatenate([[False], whole & repeating])
 
 
-def _joints_move(log: Log, arrival: Array) -> Mask:
-    """Return whether a joint moves beyond its noise from the arrival of a frame to that of the next, (m - 1,)."""
+def _movement(log: Log, arrival: Array) -> Callable[[int, int], bool]:
+    """Return whether a joint moves beyond its noise from one frame to a later one, in both halves of that time."""
     ticks = np.clip(np.searchsorted(log.time, arrival, side="right") - 1, 0, None)
-    # of white noise the second differences have sqrt(6) times its deviation, and the first sqrt(2) times
-    noise = NORMAL * np.median(np.abs(np.diff(log.joints, n=2, axis=0)), axis=0) / np.sqrt(3.0)
-    return np.asarray((np.abs(np.diff(log.joints[ticks], axis=0)) > _CLEAR * noise).any(axis=1))
+    joints = log.joints[ticks]
+    # The fourth differences of white noise have sqrt(70) times its deviation, and little of a motion; those of two
+    # readings have sqrt(2) times it.
+    noise = NORMAL * np.median(np.abs(np.diff(log.joints, n=4, axis=0)), axis=0) / np.sqrt(35.0)
+
+    def moves(first: int, end: int) -> bool:
+        middle = (first + end + 1) // 2
+        halves = [(first, middle), (middle, end)] if middle < end else [(first, end)]
+        return all(bool((np.abs(joints[b] - joints[a]) > _CLEAR * noise).any()) for a, b in halves)
+
+    return moves
 
 
 def _not_fitted(scene: Scene, frames: Frames) -> str:

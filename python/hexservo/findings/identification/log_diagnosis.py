@@ -84,7 +84,7 @@ def _of_log(found: LogDiagnosis) -> str:
     end, passes = found.identification.end, found.model.failed is False
     if isinstance(end, str):
         return f"{end}: it does not tell whether the machine reaches its goal."
-    median = f"{number(end.error)} px from the goal, in the median of its last {number(end.dwell)} s"
+    median = f"{number(end.error)} px from the goal, in the median of its last images"
     band = f"the band of {number(end.band)} px"
     fault = "the machine has a fault that the model lacks"
     if end.settled:

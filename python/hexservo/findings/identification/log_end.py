@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +23,8 @@ _ALLOWED = 3.0  # standard errors that noise may make of a median or a spread
 # Standard errors of white Gaussian noise of deviation 1, times the root of the number of values
 _OF_MEDIAN = 1.2533
 _OF_SPREAD = 1.1664
+_TAIL = 1 / 3  # share of the dwell time, at its end, whose median counts too: outliers come one by one, a machine goes
+_FEWEST_OF_TAIL = 5  # frames
 _LATE = 5  # frame periods, after the dwell time, by which the last complete image may be before the end of the log
 
 
@@ -29,7 +32,7 @@ _LATE = 5  # frame periods, after the dwell time, by which the last complete ima
 class LogEnd:
     """How far from the goal a log ends, and what the scenario's metrics allow."""
 
-    error: float  # largest of a coordinate's median over the dwell time before the last frame [px]
+    error: float  # largest of a coordinate's median over the dwell time before the last frame, or its end [px]
     noise_error: float  # what noise may make of `error` [px]
     swings: bool  # whether a coordinate spreads by more than the band in that time, its noise apart
     band: float  # within which it is settled [px]
@@ -69,17 +72,31 @@ def end_of(log: Log, scene: Scene, noise: float = 0.0) -> LogEnd | str:
     if before_end > metrics.dwell + _LATE * between:
         return f"The log's last image of all of the goal's points is {quantity(before_end, 's')} before its end"
     last = features[arrival >= arrival[-1] - metrics.dwell]
-    error = float(np.abs(np.median(last, axis=0) - scene.desired).max())
-    noise_error = _ALLOWED * _OF_MEDIAN * noise / float(np.sqrt(len(last)))
+    tail = features[-max(_FEWEST_OF_TAIL, math.ceil(_TAIL * len(last))) :]
+    medians = {len(part): np.median(part, axis=0) for part in (last, tail)}
+    # Of the one that is farther from the goal, but for its noise.
+    count = max(medians, key=lambda m: _error(medians[m], scene) - _noise_error(noise, m))
     late = features[arrival >= arrival[-1] - max(metrics.dwell, _REST * float(np.ptp(log.time)))]
+    swings = not _stays_within(last, metrics.band, noise)
+    gone = np.abs(np.median(late, axis=0) - medians[len(tail)]).max()
+    stays = gone <= _STAYS * metrics.band + _noise_error(noise, len(tail))
     return LogEnd(
-        error,
-        noise_error,
-        not _stays_within(last, metrics.band, noise),
+        _error(medians[count], scene),
+        _noise_error(noise, count),
+        swings,
         metrics.band,
         metrics.dwell,
-        len(late) >= _FEWEST and _stays_within(late, _STAYS * metrics.band, noise),
+        bool(len(late) >= _FEWEST and stays and not swings and _stays_within(late, _STAYS * metrics.band, noise)),
     )
+
+
+def _error(median: Array, scene: Scene) -> float:
+    return float(np.abs(median - scene.desired).max())
+
+
+def _noise_error(noise: float, count: int) -> float:
+    """Return what noise may make of the median of so many images [px]."""
+    return _ALLOWED * _OF_MEDIAN * noise / math.sqrt(count)
 
 
 def _stays_within(features: Array, most: float, noise: float) -> bool:
