@@ -90,7 +90,7 @@ def test_an_oscillation_about_the_goal_does_not_settle(paper: hs.Scenario, passi
 
 @pytest.mark.parametrize("last", [0.05, 0.09, 0.14])
 def test_a_machine_that_leaves_the_goal_at_the_end_does_not_settle(paper: hs.Scenario, last: float) -> None:
-    """Of less than half of the dwell time the median knows nothing."""
+    """Less than half of the dwell time does not change the median of all of it."""
     time = np.arange(4.0, step=0.01)
     goal = Scene(paper).desired
     images = goal + np.random.default_rng(SEED).normal(0.0, 0.1, (len(time), len(goal)))

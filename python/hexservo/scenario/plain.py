@@ -39,7 +39,7 @@ def plain(value: Any, place: str = "", depth: int = 0) -> Any:
     return value
 
 
-# What a type of quantities has, as those of Pint and of Astropy: their numbers are in units that nobody would read.
+# What a type of quantities has, as those of Pint and of Astropy: their numbers by themselves are in any unit.
 _OF_UNITS = (("units", "magnitude"), ("unit", "to_value"))
 
 
