@@ -17,6 +17,7 @@ from hexservo.findings.analysis.linear_law import NotFiniteError
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check import fastest_rate, keys_without_effect, unlikely
 from hexservo.scenario.fitted import gains_written
+from hexservo.scenario.laws import LAWS
 from test_keys_with_effect import fingerprint
 
 # What packaged scenarios are built to be, or come near to: the first words of each warning.
@@ -380,6 +381,13 @@ def test_limits_that_are_looked_at_once(paper: hs.Scenario) -> None:
     assert "is more than the 5000 steps of the run" in only(once, "robot.limits_every")
     assert not unlikely(paper.updated({"robot.limits_every": 5000}))
     assert hs.Controller(once).period == paper.simulation.step
+
+
+@pytest.mark.parametrize("law", _core.LAW_TRAITS)
+def test_a_start_elsewhere_is_checked_with_every_law(paper: hs.Scenario, law: str) -> None:
+    changes = {"controller.law": law, "simulation.start.pose": [0.001, 0.0, 5e-4, 0.01, 0.0, 0.01]}
+    machine = hs.load_scenario("pi-h824-positions") if law not in LAWS else paper
+    assert all(isinstance(sentence, str) for sentence in unlikely(machine.updated(changes)))
 
 
 @pytest.mark.parametrize(("name", "depth"), [("noisy-camera", 1e-300), ("paper", 1e300)])

@@ -258,7 +258,8 @@ def _of_way(scene: Scene) -> Iterator[str]:
 def _of_pull(scene: Scene) -> Iterator[str]:
     """Find a start nearer to the goal image than the balance of image and prior, whose reference is home anyway."""
     law = scene.scenario.controller.law
-    if not _core.LAW_TRAITS[law].prior or not scene.has_points or not any(scene.scenario.simulation.start.pose):
+    traits = _core.LAW_TRAITS[law]
+    if not (traits.prior and traits.inverse and scene.has_points and any(scene.scenario.simulation.start.pose)):
         return
     machine = machine_of(scene.scenario)
     if share_of_prior(scene, machine) <= 1.0:
