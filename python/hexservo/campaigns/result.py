@@ -144,10 +144,7 @@ class CampaignResult(Findings):
         TypeError
             For anything but an integer.
         """
-        index = whole_number("index", index, -sys.maxsize)
-        if not 0 <= index < len(self):
-            raise IndexError(f"index: expected one from 0 to {len(self) - 1}, got {index}")
-        return scenario_of_run(self.plan, index)
+        return scenario_of_run(self.plan, self._checked(index))
 
     def worst(self, count: int = 5) -> tuple[WorstRun, ...]:
         """Return the runs of the smallest margins, the worst first.
@@ -174,9 +171,14 @@ class CampaignResult(Findings):
         It changes the packaged scenario where the campaign varies one and no goal is read in with the changes (as
         the goal pose of a camera that varies); else it names a file to which `scenario(index)` is to be written first.
         """
-        self.scenario(index)  # refuses an index without a run
-        scenario, changes = scenario_and_changes(self.plan.scenario, self.plan.drawing().changes(index))
+        scenario, changes = scenario_and_changes(self.plan.scenario, self.plan.drawing().changes(self._checked(index)))
         return command_with_changes(changes, scenario) or f"hexservo run {file}"
+
+    def _checked(self, index: int) -> int:
+        index = whole_number("index", index, -sys.maxsize)
+        if not 0 <= index < len(self):
+            raise IndexError(f"index: expected one from 0 to {len(self) - 1}, got {index}")
+        return index
 
 
 def load_campaign(folder: str | os.PathLike[str]) -> CampaignResult:

@@ -16,7 +16,7 @@ from hexservo.findings.analysis.loop_of_scenario import NotApplicableError, quie
 from hexservo.findings.analysis.reach import reach_of_start_and_goal
 from hexservo.findings.analysis.scene import Scene, scene_of
 from hexservo.findings.check_gains import of_gains
-from hexservo.findings.check_gate import of_gate
+from hexservo.findings.check_gate import of_gate, predicts
 from hexservo.findings.check_machine import of_machine
 from hexservo.findings.check_motion import of_motion
 from hexservo.scenario.arrays import Array
@@ -313,12 +313,8 @@ def _has_slope(scenario: Scenario) -> bool:
     return _switches(scenario) and scenario.controller.switching.kind in ("tanh", "saturation")
 
 
-def _predicts(scenario: Scenario) -> bool:
-    return scenario.camera.prediction == "encoder" or scenario.camera.on_lost == "predict"
-
-
 def _uses_exposures(scenario: Scenario) -> bool:
-    return _predicts(scenario) or scenario.camera.timeout is not None or scenario.controller.law not in LAWS
+    return predicts(scenario) or scenario.camera.timeout is not None or scenario.controller.law not in LAWS
 
 
 def _of_law(law: str) -> _Condition:
@@ -349,7 +345,7 @@ def _of_auto(law: str) -> tuple[_Condition, ...]:
         return scenario.controller.law != law or auto_of(scenario).bandwidth is not None
 
     bandwidth = _Condition((block,), fits, f"only where one of {', '.join(fitted_keys(law))} acts and is not given")
-    if law == _CRITICALLY_DAMPED:
+    if law not in LAWS:  # whose fitted gains have no damping
         when = f"only in the blocks of other laws, since the motion of {law} is critically damped"
         return bandwidth, _Condition(
             (f"{block}.damping",), lambda scenario: scenario.controller.law != law, when, False
@@ -357,7 +353,6 @@ def _of_auto(law: str) -> tuple[_Condition, ...]:
     return bandwidth, _Condition((f"{block}.damping",), has_bandwidth, f"only with {block}.bandwidth")
 
 
-_CRITICALLY_DAMPED = "tracking"  # the law whose fitted gains have no damping
 _ADAPTIVE = ("gain_far", "gain_slope")
 
 
@@ -410,11 +405,11 @@ _CONDITIONS = (
     _Condition(
         ("camera.on_lost",),
         lambda scenario: (
-            scenario.camera.image_size is not None or (scenario.camera.gate is not None and _predicts(scenario))
+            scenario.camera.image_size is not None or (scenario.camera.gate is not None and predicts(scenario))
         ),
         "only with camera.image_size or an acting camera.gate",
     ),
-    _Condition(("camera.gate",), _predicts, "only with camera.prediction: encoder or camera.on_lost: predict"),
+    _Condition(("camera.gate",), predicts, "only with camera.prediction: encoder or camera.on_lost: predict"),
     _Condition(
         tuple(f"sensors.{key}" for key in ("rate", "resolution", "noise", "period")),
         lambda scenario: scenario.sensors.pose == "encoders",

@@ -11,13 +11,19 @@ from hexservo.findings.analysis.scene import Scene
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.motion import TargetMotion
 from hexservo.scenario.parameters import frame_period
+from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number
+
+
+def predicts(scenario: Scenario) -> bool:
+    """Return whether points of the image are carried along by the joint sensors, without which no gate acts."""
+    return scenario.camera.prediction == "encoder" or scenario.camera.on_lost == "predict"
 
 
 def of_gate(scene: Scene) -> Iterator[str]:
     """Yield a sentence for a gate without timeout, and for one that the target's motion exceeds between two frames."""
     camera = scene.scenario.camera
-    if camera.gate is None or (camera.prediction != "encoder" and camera.on_lost != "predict"):
+    if camera.gate is None or not predicts(scene.scenario):
         return
     if camera.timeout is None:
         yield (

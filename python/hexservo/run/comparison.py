@@ -16,7 +16,7 @@ import numpy as np
 from hexservo.run.display import comparison_text
 from hexservo.run.drawn import figure_of, html_of, image_of
 from hexservo.run.files import write_folder
-from hexservo.run.leg_limits import leg_limits
+from hexservo.run.leg_limits import exceeded_limits
 from hexservo.run.metrics import METRICS, metric_unit, readable_unit, shown_number, unsettled
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.fields import described
@@ -61,9 +61,7 @@ class ComparisonRow:
     @property
     def passed_limits(self) -> tuple[str, ...]:
         """The limits of the legs that were exceeded: "stroke", "force", "speed", "base_joint", "platform_joint"."""
-        return tuple(
-            limit.kind for limit in leg_limits(self.scenario) if self.metrics.get(limit.metric, math.nan) > limit.value
-        )
+        return tuple(limit.kind for limit in exceeded_limits(self.scenario, self.metrics))
 
     @property
     def why(self) -> str:
@@ -75,8 +73,8 @@ class ComparisonRow:
             sentence = f"within {measured.band:g} px from {self.metrics['settling_time']:.4g} s on"
         else:
             sentence = unsettled(self.metrics, measured)
-        excess = {limit.kind: f"{limit.exceeded} of {limit.text}" for limit in leg_limits(self.scenario)}
-        return "; ".join([sentence, *(excess[what] for what in self.passed_limits)])
+        exceeded = exceeded_limits(self.scenario, self.metrics)
+        return "; ".join([sentence, *(f"{limit.exceeded} of {limit.text}" for limit in exceeded)])
 
 
 @dataclass(frozen=True)

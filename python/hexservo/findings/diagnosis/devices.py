@@ -86,8 +86,6 @@ def _late_camera(case: Case) -> list[Removal]:
 
 def _lost_features(case: Case) -> list[Removal]:
     camera = case.scenario.camera
-    if not case.sampled or (camera.image_size is None and camera.dropout == 0.0 and camera.gate is None):
-        return []
     changes: dict[str, Any] = {}
     if camera.image_size is not None:
         changes["camera.image_size"] = None
@@ -95,7 +93,8 @@ def _lost_features(case: Case) -> list[Removal]:
         changes["camera.dropout"] = 0.0
     if camera.gate is not None:
         changes["camera.gate"] = None
-    return [Removal("an image without border or gate, and no lost frames", changes)]
+    lost = case.sampled and changes
+    return [Removal("an image without border or gate, and no lost frames", changes)] if lost else []
 
 
 def _brake(case: Case) -> list[Removal]:

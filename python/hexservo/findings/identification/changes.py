@@ -44,7 +44,7 @@ class Changes(Part):
 
 def changes_of(log: Log, drives: Drives, camera: CameraFit | None, motors: MotorFit | None = None) -> dict[str, Any]:
     """Return the keys that the log gives, by dotted name: none of a part whose model is not of the machine."""
-    step = float(f"{log.period:.9g}")
+    step = log.step
     changes: dict[str, Any] = {"simulation.mode": "sampled", "simulation.step": step}
     if drives.moved and drives.explains:
         changes |= {"actuators.kind": "position"} | _of_drives(drives, step)
@@ -78,14 +78,14 @@ def faults_of(log: Log, scenario: Scenario, camera: CameraFit | None) -> dict[st
         return {}
     if camera is None or not camera.explains or camera.stamps is None or not camera.stamps_are_wrong:
         return {}
-    step = float(f"{log.period:.9g}")
+    step = log.step
     error = max(_whole(-camera.stamps.value, step), -scenario.camera.latency)  # no frame is stamped after its arrival
     return {} if error == 0.0 else {"uncertainty.latency": error}
 
 
 def in_whole_ticks(log: Log, machine: Scenario, changes: Mapping[str, Any]) -> dict[str, Any]:
     """Return the times of a machine that the log does not give and that are no whole ticks of it, as such."""
-    step, rounded = float(f"{log.period:.9g}"), {}
+    step, rounded = log.step, {}
     for key, fewest in _FEWEST_TICKS.items():
         given = value_at(machine, key)
         if key in changes or given is None:

@@ -66,6 +66,11 @@ class Log:
     joints: Array  # (n, 6) the same as measured
     frames: Frames | None  # None where the log has no image
 
+    @property
+    def step(self) -> float:
+        """The period as a scenario has it, with nine digits [s]."""
+        return float(f"{self.period:.9g}")
+
     def __post_init__(self) -> None:
         """Make arrays of lists, count times from the first tick, and refuse those that do not fit each other.
 

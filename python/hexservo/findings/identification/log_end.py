@@ -14,9 +14,7 @@ from hexservo.scenario.arrays import Array
 from hexservo.scenario.pixels import to_features
 from hexservo.scenario.wording import quantity
 
-_REST = (
-    0.25  # share of the log over whose end the image of a machine at rest stays: jumps for identification are shorter
-)
+_REST = 0.25  # share of the log, at its end, over which the image of a machine at rest stays: jumps are shorter
 _STAYS = 0.5  # of the settling band: largest spread of a coordinate that stays
 _FEWEST = 3  # frames that show that an image stays
 _ALLOWED = 3.0  # standard errors that noise may make of a median or a spread
@@ -73,16 +71,13 @@ def end_of(log: Log, scene: Scene, noise: float = 0.0) -> LogEnd | str:
         return f"The log's last image of all of the goal's points is {quantity(before_end, 's')} before its end"
     last = features[arrival >= arrival[-1] - metrics.dwell]
     tail = features[-max(_FEWEST_OF_TAIL, math.ceil(_TAIL * len(last))) :]
-    medians = {len(part): np.median(part, axis=0) for part in (last, tail)}
-    # Of the one that is farther from the goal, but for its noise.
-    count = max(medians, key=lambda m: _error(medians[m], scene) - _noise_error(noise, m))
+    farther = max((last, tail), key=lambda images: _error(images, scene.desired) - _noise_error(noise, len(images)))
     late = features[arrival >= arrival[-1] - max(metrics.dwell, _REST * float(np.ptp(log.time)))]
     swings = not _stays_within(last, metrics.band, noise)
-    gone = np.abs(np.median(late, axis=0) - medians[len(tail)]).max()
-    stays = gone <= _STAYS * metrics.band + _noise_error(noise, len(tail))
+    stays = _error(tail, np.median(late, axis=0)) <= _STAYS * metrics.band + _noise_error(noise, len(tail))
     return LogEnd(
-        _error(medians[count], scene),
-        _noise_error(noise, count),
+        _error(farther, scene.desired),
+        _noise_error(noise, len(farther)),
         swings,
         metrics.band,
         metrics.dwell,
@@ -90,8 +85,9 @@ def end_of(log: Log, scene: Scene, noise: float = 0.0) -> LogEnd | str:
     )
 
 
-def _error(median: Array, scene: Scene) -> float:
-    return float(np.abs(median - scene.desired).max())
+def _error(images: Array, place: Array) -> float:
+    """Return the largest of a coordinate's distance from a place, (2p,), in the median of images, (m, 2p) [px]."""
+    return float(np.abs(np.median(images, axis=0) - place).max())
 
 
 def _noise_error(noise: float, count: int) -> float:

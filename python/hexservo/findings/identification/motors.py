@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -84,7 +84,7 @@ class _Fit:
     left: Array  # (6 n,) residuals, in shares of the motion
     cost: float
 
-    @property
+    @cached_property
     def correlated(self) -> float:
         """Ticks over which the residuals are correlated, of the worst leg."""
         legs = self.left.reshape(-1, 6)
@@ -100,7 +100,7 @@ class _Plant:
 
     def __init__(self, log: Log, machine: Scenario) -> None:
         self._commands = np.ascontiguousarray(log.commands)
-        self._step = float(f"{log.period:.9g}")
+        self._step = log.step
         self._settings = core_parameters(machine)
         self._settings["simulation.step"] = self._step
         self._fewest = max(1, math.ceil(self._step / (_core.MOTOR_STEPS * _LEG_STEP)))
