@@ -36,7 +36,7 @@ PARTS = ROOT / "docs" / "site"
 ROOT_PAGES = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "BENCHMARKS.md")
 GROUPS = {"analysis": "Before a run: analysis", "certificate": "After a run: certificate", "diagnosis": "Diagnosis"}
 # Pages of docs/ that the front page lists by name; all others are guides.
-LISTED = {"model", "errata", "proof", "robustness", "testing", "your-machine"}
+LISTED = {"model", "errata", "claims", "proof", "robustness", "testing", "your-machine"}
 EXPLORER = ROOT / "python" / "hexservo" / "explorer.html"
 BAR = "\\|"  # in a cell of a table
 MARKER = ".hexservo-site"  # in every folder that is written here
@@ -244,7 +244,7 @@ def keys_page() -> str:
     text = [
         "# Keys of a scenario\n",
         "Every key of a scenario, as `hexservo schema` lists them, with its meaning in a line; more of it is in",
-        "the [README](README.md#scenarios) and in [the model](docs/model.md). Frames and orders are those of",
+        "[the page of scenarios](docs/scenarios.md) and in [the model](docs/model.md). Frames and orders are those of",
         "[its section 1](docs/model.md#1-frames-units-and-order). `sampled` keys act in `simulation.mode: sampled`",
         "alone.\n",
     ]

@@ -1,4 +1,4 @@
-"""The examples of README, docs/batch.md and docs/compare.md run unchanged and print what is written beside them."""
+"""Examples of README, docs/camera.md, docs/batch.md and docs/compare.md run and print what is written beside them."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_the_examples_of_a_real_camera_run(tmp_path: Path) -> None:
 
 
 def test_the_pixels_of_opencv_become_features(tmp_path: Path) -> None:
-    (example,) = (example for example in examples(README) if "cv2" in example)
+    (example,) = (example for example in examples(ROOT / "docs" / "camera.md") if "cv2.undistort" in example)
     initial = hs.load_scenario("paper").target.initial_features
     assert output_of(example, tmp_path) == f"{list(initial or ())}\n"
 
