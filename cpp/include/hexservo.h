@@ -191,6 +191,30 @@ HEXSERVO_API const char* hexservo_metric_name(size_t index);
 /** All metrics from the start until now; they do not depend on what is logged. NaN: not defined. */
 HEXSERVO_API const double* hexservo_run_metrics(const hexservo_run* run);
 
+/** What a leg was beyond. */
+typedef enum hexservo_limit {
+  HEXSERVO_STROKE = 0,        /**< |l - middle of the travel| [m], of cranks [rad] */
+  HEXSERVO_FORCE = 1,         /**< |force| [N], of cranks [N m] */
+  HEXSERVO_SPEED = 2,         /**< |rate| [m/s], of cranks [rad/s] */
+  HEXSERVO_BASE_JOINT = 3,    /**< angle from its direction at home, at the base [rad] */
+  HEXSERVO_PLATFORM_JOINT = 4 /**< likewise at the platform [rad] */
+} hexservo_limit;
+
+/** A leg beyond one of its limits. */
+typedef struct hexservo_limit_event {
+  hexservo_limit limit;
+  int leg;           /**< 0 to 5 */
+  double first_time; /**< [s] */
+  double peak;       /**< largest value of the run, in the unit of the limit */
+  double largest;    /**< that the limit allows */
+} hexservo_limit_event;
+
+/** Number of limits that legs of a run passed; 0 while it runs. */
+HEXSERVO_API size_t hexservo_run_event_count(const hexservo_run* run);
+/** Event `index`, in the order of first times, which do not depend on what is logged.
+ * @return whether there is one */
+HEXSERVO_API int hexservo_run_event(const hexservo_run* run, size_t index, hexservo_limit_event* event);
+
 /** Where things are, for whoever draws them. */
 typedef struct hexservo_scene {
   double base_joints[6][3];     /**< in B [m] */

@@ -531,6 +531,15 @@ const char* hexservo_metric_name(size_t index) {
 
 const double* hexservo_run_metrics(const hexservo_run* run) { return run->answer().metrics; }
 
+size_t hexservo_run_event_count(const hexservo_run* run) { return run->result ? run->result->events.size() : 0; }
+
+int hexservo_run_event(const hexservo_run* run, size_t index, hexservo_limit_event* event) {
+  if (index >= hexservo_run_event_count(run)) return 0;
+  const LimitEvent& from = run->result->events[index];
+  *event = {static_cast<hexservo_limit>(from.kind), from.leg, from.first_time, from.peak, from.limit};
+  return 1;
+}
+
 void hexservo_run_scene(const hexservo_run* run, hexservo_scene* scene) {
   const Hexapod<double>& hexapod = run->steps->hexapod();
   const PlatformCamera<double> mounted(run->steps->camera());

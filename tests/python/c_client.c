@@ -38,6 +38,8 @@ static void print(const char* name, const double* numbers, size_t count) {
 static int run(hexservo_scenario* scenario) {
   hexservo_run* run;
   int quantity;
+  size_t index;
+  hexservo_limit_event event;
   if (hexservo_run_create(scenario, &run) != HEXSERVO_OK) return fail(scenario);
   while (hexservo_run_outcome(run) == HEXSERVO_RUNNING) hexservo_run_advance(run, 777);
   printf("outcome %s\n", hexservo_outcome_name(hexservo_run_outcome(run)));
@@ -45,6 +47,9 @@ static int run(hexservo_scenario* scenario) {
     print("samples", hexservo_run_samples(run, (hexservo_quantity)quantity),
           hexservo_run_rows(run) * hexservo_run_width(run, (hexservo_quantity)quantity));
   print("metrics", hexservo_run_metrics(run), hexservo_metric_count());
+  for (index = 0; hexservo_run_event(run, index, &event); ++index)
+    printf("event %d %d %a %a %a\n", (int)event.limit, event.leg, event.first_time, event.peak, event.largest);
+  if (index != hexservo_run_event_count(run)) return 8;
   hexservo_run_destroy(run);
   return 0;
 }

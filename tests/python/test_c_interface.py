@@ -252,6 +252,7 @@ LAYOUTS = {
         "hexservo_state_memory": "place 0 size 36864",
         "hexservo_input": "now 0 exposure 8 features 16 depth 24 position 32 quaternion 56 twist 88 leg_lengths 136 "
         "leg_rates 184 size 232",
+        "hexservo_limit_event": "limit 0 leg 4 first_time 8 peak 16 largest 24 size 32",
         "hexservo_output": "wrench 0 leg_forces 48 fuzzy_output 96 status 144 saturated 148 leg_positions 152 "
         "latency 200 size 224",
     }
@@ -317,6 +318,7 @@ def numbers(line: str) -> Array:
     [
         ("paper", {}),
         ("paper-gravity", {"controller.law": "composite", "simulation.duration": 0.5}),
+        ("fails-gravity", {"simulation.duration": 0.5, "simulation.log_every": 100}),  # legs beyond stroke and force
         ("real-machine", {"simulation.duration": 0.5}),
     ],
 )
@@ -336,6 +338,12 @@ def test_a_program_in_c_and_python_agree_bit_for_bit(client: Path, name: str, ch
         assert np.array_equal(numbers(line), expected.ravel(), equal_nan=True), quantity
     metrics = [getattr(run.metrics, metric) for metric in METRICS]
     assert np.array_equal(numbers(lines[len(QUANTITIES)]), metrics, equal_nan=True)
+    events = [line for line in lines if line.startswith("event ")]
+    assert [numbers(line).tolist() for line in events] == [
+        [e.kind.value, e.leg, e.first_time, e.peak, e.limit] for e in run.events
+    ]
+    assert bool(events) == (name == "fails-gravity")
+    lines = [line for line in lines if line not in events]
     rows = round(scenario.simulation.duration / scenario.simulation.step) + 1
     sampled = scenario.simulation.mode == "sampled"
     assert lines[len(QUANTITIES) + 1] == (
