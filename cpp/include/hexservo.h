@@ -343,7 +343,8 @@ HEXSERVO_API void hexservo_plant_sense(const hexservo_plant* plant, hexservo_inp
 HEXSERVO_API int hexservo_plant_command(hexservo_plant* plant, const double* wrench);
 /** `HEXSERVO_RUNNING`, or how it ended. */
 HEXSERVO_API hexservo_outcome hexservo_plant_outcome(const hexservo_plant* plant);
-/** What was true at the newest tick that was commanded, one before that of the sensors; as `hexservo_run_newest`. */
+/** What was true at the newest tick that was commanded, one before that of the sensors; as `hexservo_run_newest`. Before
+ * the first command: where the plant starts, with wrench and forces of zero. */
 HEXSERVO_API const double* hexservo_plant_newest(const hexservo_plant* plant, hexservo_quantity quantity);
 
 #ifdef __cplusplus

@@ -135,6 +135,8 @@ std::vector<Group> grouped(const Scenarios& scenarios) {
   return groups;
 }
 
+constexpr long long kPackStepsBetweenQuestions = 256;  // of a pack
+
 /// Samples on the grid: every `log_every`-th step, and the end.
 std::size_t grid_rows(const Grid& grid) {
   const long long every = grid.simulation.log_every;
@@ -341,6 +343,7 @@ class Batch {
     request.unmeasured = measured_.groups.left_out();
     request.stop = Witness::ask;
     request.context = &witness;
+    request.ask_every = detail::ask_every(pack.grid->simulation, kPackStepsBetweenQuestions);
     request.answers = answers.data();
     detail::require_done(kernel_.run_pack(request));
 

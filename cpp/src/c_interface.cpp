@@ -448,12 +448,7 @@ hexservo_status hexservo_scenario_get_text(hexservo_scenario* scenario, const ch
 }
 
 hexservo_status hexservo_scenario_validate(hexservo_scenario* scenario) {
-  return guarded(*scenario, [&] {
-    with_loop(scenario->settings, [&]<class Law, int N>(std::type_identity<Law>, std::integral_constant<int, N>) {
-      loop_parameters<Law, N>(scenario->settings);
-    });
-    detail::sample_count(scenario->settings.simulation, scenario->settings.target.count());
-  });
+  return guarded(*scenario, [&] { check_settings(scenario->settings); });
 }
 
 // --- runs

@@ -15,9 +15,10 @@ constexpr double kSingularRatio = 1e-9;  // sigma_min/sigma_max of H below which
 
 /// A few poses around home without symmetry: a geometry that is singular at all of them is singular everywhere.
 std::array<Pose<double>, 3> generic_poses(const Hexapod<double>& hexapod) {
+  constexpr double kSmall = 0.1;  // cranks close there if they close at home
   const double r = 0.1 * hexapod.platform_radius;
   const auto near_home = [&](const Vector3<double>& shift, const Vector3<double>& turn) {
-    return moved(home_pose(hexapod), (Vector6<double>() << r * shift, turn).finished());
+    return moved(home_pose(hexapod), (Vector6<double>() << kSmall * r * shift, kSmall * turn).finished());
   };
   return {near_home({0.31, -0.53, 0.71}, {0.14, -0.22, 0.26}), near_home({-0.67, 0.23, 0.41}, {-0.26, 0.10, -0.34}),
           near_home({0.47, 0.59, -0.37}, {0.06, 0.18, -0.10})};
@@ -190,15 +191,16 @@ Hexapod<double> make_hexapod(const RobotParameters& robot) {
     refuse("robot.stroke_centre", words("a middle of the travel within the stroke of ", robot.stroke, " m from home"),
            words(robot.stroke_centre, " m"));
 
-  double best = 0.0;
-  for (const Pose<double>& pose : generic_poses(hexapod)) best = std::max(best, condition(hexapod, pose));
+  const double at_home = condition(hexapod, home);
+  double best = at_home;
+  if (!(best >= kSingularRatio))
+    for (const Pose<double>& pose : generic_poses(hexapod)) best = std::max(best, condition(hexapod, pose));
   if (!(best >= kSingularRatio))
     refuse(joints_key(robot),
            "legs that hold the platform in all six directions (regular hexagons joined in cyclic order, or a platform "
            "similar to its "
            "base, never do)",
            words("a wrench map that is singular at every pose (smallest/largest singular value ", best, ")"));
-  const double at_home = condition(hexapod, home);
   if (!(at_home >= kSingularRatio))
     refuse("robot.home_position", "a home pose that is not singular",
            words("a wrench map with smallest/largest singular value ", at_home));

@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cstddef>
+#include <new>
 
 #ifndef HEXSERVO_KERNEL_FLAGS
 #define HEXSERVO_KERNEL_FLAGS "unknown"
@@ -30,7 +31,7 @@ RunStatus run_places(const RunRequest& request) {
 }
 
 template <class S>
-RunStatus run_law(const RunRequest& request) noexcept {
+RunStatus run_law(const RunRequest& request) noexcept try {
   const FlushSubnormals flush;
   switch (request.law) {
 #define HEXSERVO_CASE(Law) \
@@ -40,6 +41,8 @@ RunStatus run_law(const RunRequest& request) noexcept {
 #undef HEXSERVO_CASE
   }
   return RunStatus::unknown_law;
+} catch (const std::bad_alloc&) {
+  return RunStatus::no_memory;
 }
 
 using detail::kWidth;

@@ -13,13 +13,12 @@
 
 namespace hexservo {
 
-inline constexpr int kKernelAbi = 13;                        ///< changes with everything below
+inline constexpr int kKernelAbi = 14;                        ///< changes with everything below
 inline constexpr char kKernelCapsule[] = "hexservo.kernel";  ///< name of the Python capsule that carries a Kernel
 
 inline constexpr int kMetricNumbers = 21;         ///< of `Metrics`, in the order of its `visit`
 inline constexpr int kWeightNumbers = 6 * 7 * 7;  ///< axis, term of u, term of u-dot
 inline constexpr int kQuantities = 9;             ///< of `Sample`, in the order of its `visit`
-inline constexpr long long kQuestionEvery = 256;  ///< steps between two looks at `RunRequest::stop`
 
 /// Numbers of a quantity of a sample of `points` points.
 constexpr int sample_width(std::size_t quantity, int points) {
@@ -72,13 +71,14 @@ struct RunRequest {
   long long log_every;  ///< steps between two rows of the log; 0: no log
   unsigned unmeasured;  ///< groups of metrics that are not asked for, `MetricGroups::left_out`
   bool log_end;         ///< also log the last good sample of a run that stops early, off the grid
-  /// Asked every `kQuestionEvery` steps with the steps taken so far; true stops the run. May be null; does not throw.
+  /// Asked every `ask_every` steps with the steps taken so far; true stops the run. May be null; does not throw.
   bool (*stop)(void* context, long long steps);
   void* context;
+  long long ask_every;  ///< 1 or more where there is something to ask
   RunAnswer* answers;  ///< `count` of them
 };
 
-enum class RunStatus : int { done, unknown_law, other_layout, not_uniform, unknown_places };
+enum class RunStatus : int { done, unknown_law, other_layout, not_uniform, unknown_places, no_memory };
 
 /// One instruction set's run loop.
 struct Kernel {

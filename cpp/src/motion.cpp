@@ -72,7 +72,8 @@ void require_attitudes(const BaseMotionSettings& motion) {
     refuse("base_motion.rotation.kind", "none beside a recorded attitude", "another kind");
 }
 
-void require_road(const BaseMotionSettings& motion, double fastest) {
+/// @param seed of the road's waves
+void require_road(const BaseMotionSettings& motion, const SeedHalves<double>& seed, double fastest) {
   const RoadParameters<double>& road = motion.road;
   if (motion.rotation.kind != RotationKind::none)
     refuse("base_motion.rotation.kind", "none beside a road, which turns the base itself", "another kind");
@@ -84,9 +85,15 @@ void require_road(const BaseMotionSettings& motion, double fastest) {
            words("at least ", road.speed / fastest, " m at ", road.speed,
                  " m/s: a wave that is shorter passes within two steps of the integration"),
            words(road.shortest));
+  if (const double largest = RoadWaves<double>(road, seed).rotation.largest().norm(); !(largest <= 2.0 * kPi))
+    refuse("base_motion.road.damping",
+           words("springs, dampers and a roughness that turn the vehicle by at most 2 pi (radians) where all waves are "
+                 "in phase"),
+           words(road.damping, ", with which it turns by ", largest, " rad; a larger damping turns it less"));
 }
 
-void require_base(const BaseMotionSettings& motion, double fastest, double duration, bool world) {
+void require_base(const BaseMotionSettings& motion, const SeedHalves<double>& seed, double fastest, double duration,
+                  bool world) {
   require_rotation(motion.rotation, fastest);
   const bool attitudes = motion.attitudes && !motion.attitudes->empty();
   switch (motion.kind) {
@@ -113,7 +120,7 @@ void require_base(const BaseMotionSettings& motion, double fastest, double durat
                "0");
       break;
     case BaseMotionKind::road:
-      require_road(motion, fastest);
+      require_road(motion, seed, fastest);
       break;
     case BaseMotionKind::none:
       break;
@@ -154,7 +161,7 @@ Recording recording(const TargetMotionSettings& motion) {
 template <int N>
 void prepare_motions(const Settings& settings, SceneParameters<double, N>& p) {
   const double fastest = 0.5 * static_cast<double>(p.substeps) / p.step;  // the integration would not see more
-  require_base(settings.base_motion, fastest, settings.simulation.duration,
+  require_base(settings.base_motion, seed_halves(settings.seed), fastest, settings.simulation.duration,
                settings.target.frame == TargetFrame::world);
   require_target(settings.target, settings.camera, p.convention, fastest);
   p.base_motion = settings.base_motion;

@@ -161,7 +161,7 @@ void answer(const LoopRecord<S, N>& record, const LawState& law_state, const S& 
 
 /// Whether the caller requests the end of the run; it may run any code, in its own thread's mode.
 inline bool is_stopped(const RunRequest& request, long long steps) {
-  if (request.stop == nullptr || steps % kQuestionEvery != 0) return false;
+  if (request.stop == nullptr || steps % request.ask_every != 0) return false;
   const KeepSubnormals keep;
   return request.stop(request.context, steps);
 }

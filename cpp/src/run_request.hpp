@@ -30,8 +30,16 @@ Prepared prepare(const Settings& settings, const Hexapod<double>* legs, double* 
 /// @param simulation the mode and steps that they share
 RunRequest run_request(const Settings& settings, const SimulationSettings& simulation);
 
+/// Steps between two questions of a run whether to stop: few where a step has many substeps.
+/// @param integration_steps that may pass between them
+inline long long ask_every(const SimulationSettings& simulation, long long integration_steps) {
+  return std::max(1LL, integration_steps / simulation.substeps);
+}
+
+/// @throws std::bad_alloc where the run found too little memory
 /// @throws std::logic_error where caller and kernel do not belong together
 inline void require_done(RunStatus status) {
+  if (status == RunStatus::no_memory) throw std::bad_alloc();
   if (status != RunStatus::done)
     throw std::logic_error("kernel: expected one that was built with this core, got status " +
                            std::to_string(static_cast<int>(status)));

@@ -14,16 +14,14 @@ using detail::words;
 namespace {
 
 constexpr long long kStepsBetweenQuestions = 2048;  // a few milliseconds of work between two looks at Ctrl-C
-static_assert(kStepsBetweenQuestions % kQuestionEvery == 0);
 
 /// Asks the caller between steps; what that throws waits until the kernel has returned.
 struct Question {
   const std::function<bool()>& stop_requested;
   std::exception_ptr error;
 
-  static bool ask(void* context, long long steps) {
+  static bool ask(void* context, long long /*steps*/) {
     auto& question = *static_cast<Question*>(context);
-    if (steps % kStepsBetweenQuestions != 0) return false;
     try {
       return question.stop_requested();
     } catch (...) {
@@ -88,6 +86,7 @@ Trajectory simulate(const Settings& settings, const std::function<bool()>& stop_
   if (stop_requested) {
     request.stop = Question::ask;
     request.context = &question;
+    request.ask_every = detail::ask_every(settings.simulation, kStepsBetweenQuestions);
   }
   request.answers = &log.answer();
   detail::require_done(kernel.run_single(request));

@@ -53,13 +53,13 @@ void run_blocks(std::size_t blocks, int threads, StopFlag& stop, const std::func
   while (workers.size() < wanted) {
     try {
       workers.emplace_back(worker);
-    } catch (const std::system_error&) {  // the system gives no more: go on with those that there are
+    } catch (...) {  // the system gives no more threads or memory: go on with those that there are
+      if (workers.empty()) throw;
       const std::lock_guard lock(mutex);
       at_work -= wanted - workers.size();
       break;
     }
   }
-  if (workers.empty()) throw std::system_error(std::make_error_code(std::errc::resource_unavailable_try_again));
 
   for (std::unique_lock lock(mutex); at_work > 0;) {
     ended.wait_for(lock, kWatchEvery, [&] { return at_work == 0; });

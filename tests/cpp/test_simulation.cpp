@@ -261,6 +261,19 @@ TEST_CASE("a stop request ends a run as interrupted, with what there is") {
   CHECK(not_asked.outcome == Outcome::completed);
 }
 
+TEST_CASE("a run of many substeps is asked as often as its integration goes on, not its ticks") {
+  Settings settings = short_run(0.05);
+  settings.simulation.mode = LoopMode::sampled;
+  settings.simulation.substeps = 300;
+  int questions = 0;
+  const Trajectory run = simulate(settings, [&] {
+    ++questions;
+    return false;
+  });
+  CHECK(run.steps == 50);
+  CHECK(questions >= 50 * 300 / 2048);
+}
+
 TEST_CASE("legs beyond a limit are reported with time and peak, and the run goes on") {
   Settings settings = short_run(0.5);
   CHECK(simulate(settings).events.empty());

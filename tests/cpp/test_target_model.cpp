@@ -164,7 +164,6 @@ TEST_CASE("where no pose explains the image, the estimate is stationary: J^T r =
     REQUIRE((measured - seen_from(found.pose, points)).norm() > 0.1);
     CHECK(residual_parts(found.pose, points, measured).explainable <= 1e-6);
     CHECK(std::abs(std::sqrt(found.squared_residual) - (measured - seen_from(found.pose, points)).norm()) <= 1e-9);
-    CHECK(std::sqrt(std::max(found.decrement, 0.0)) <= 1e-11);
   }
 }
 
@@ -231,7 +230,6 @@ TEST_CASE("10 000 images of the paper's target with 0.2 px of noise: never worse
     const double left = residual_parts(found.pose, points, measured).explainable;
     stationary += left <= 2e-3;
     mirrored += found.mirrored;
-    if (left > 1e-5) REQUIRE(std::abs(std::sqrt(found.decrement) - left) <= 1e-2 * left);
   }
   MESSAGE("seed ", random.seed(), ": ", stationary, " of ", kTrials, " stationary, ", worse, " worse than the start, ",
           mirrored, " mirrored");

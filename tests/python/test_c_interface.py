@@ -225,6 +225,22 @@ def test_a_run_may_pause_anywhere(library: ctypes.CDLL, scenario: Handle) -> Non
     library.hexservo_run_destroy(run)
 
 
+def test_a_plant_without_a_command_is_where_it_starts(library: ctypes.CDLL, scenario: Handle) -> None:
+    start = hs.load_scenario("composite-30hz").updated({"simulation.start.twist": [0.01, 0.0, 0.0, 0.0, 0.1, 0.0]})
+    for key, value in flat(start).items():
+        assert scenario.set(key, value) == OK
+    plant = ctypes.c_void_p()
+    assert library.hexservo_plant_create(scenario.handle, ctypes.byref(plant)) == OK
+    library.hexservo_plant_newest.restype = ctypes.POINTER(ctypes.c_double)
+    run = hs.simulate(start.updated({"simulation.duration": 0.001}))
+    for index, quantity in enumerate(QUANTITIES):
+        expected = np.atleast_1d(getattr(run, quantity)[0])
+        found = library.hexservo_plant_newest(plant, index)[: len(expected)]
+        forces = quantity in ("wrench", "fuzzy_output", "leg_forces")  # nothing is commanded
+        np.testing.assert_allclose(found, 0.0 if forces else expected, rtol=1e-12, err_msg=quantity)
+    library.hexservo_plant_destroy(plant)
+
+
 @pytest.fixture(scope="module")
 def client(path: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The program in C99, without a warning."""

@@ -455,6 +455,14 @@ def test_targets_move_as_they_are_told(sampled: hs.Scenario, tmp_path: Path) -> 
         np.testing.assert_allclose(result.feature_error, desired - expected, rtol=0, atol=1e-9)
 
 
+def test_a_road_that_would_roll_the_vehicle_over_is_refused(sampled: hs.Scenario) -> None:
+    """Its attitude is a series of the rotation vector, good to 2 pi."""
+    road = {"seed": 29, "base_motion": {"kind": "road", "road": {"roughness": "H", "damping": 0.0005}}}  # in resonance
+    with pytest.raises(ValueError, match=r"base_motion\.road\.damping: .* at most 2 pi .*got 0\.0005, with which"):
+        hs.simulate(sampled.updated(road))
+    hs.simulate(sampled.updated({"base_motion": {"kind": "road", "road": {"roughness": "H"}}}))
+
+
 # ---- Roads ----------------------------------------------------------------------------------------------------------
 
 

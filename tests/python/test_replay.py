@@ -306,10 +306,15 @@ def test_a_state_of_another_controller_is_refused() -> None:
     np.testing.assert_array_equal(one.state(), state)
 
 
-@pytest.mark.parametrize("name", ["composite-30hz", "real-machine", "slow-camera"])
+@pytest.mark.parametrize(
+    "name", ["composite-30hz", "real-machine", "slow-camera", "pi-h824-positions", "reachy-mini-motors"]
+)
 def test_a_state_with_a_number_that_none_has_is_refused_or_harmless(name: str) -> None:
-    """Leg rates may be NaN, and so a twist; no other number, since the law would never act again."""
-    scenario = hs.load_scenario(name).updated({"simulation.duration": 0.1})
+    """Leg rates may be NaN, and so a twist; legs are before they are first read or commanded. No other number is, since
+    the law would never act again.
+    """
+    scenario = hs.load_scenario(name)
+    scenario = scenario.updated({"simulation.duration": 60 * scenario.simulation.step})
     ticks = ticks_of(scenario)
     controller = hs.Controller(scenario)
     count = len(ticks["now"])
@@ -328,7 +333,8 @@ def test_a_state_with_a_number_that_none_has_is_refused_or_harmless(name: str) -
         controller._clock = clock
         outputs = [step(controller, ticks, k) for k in range(count - 5, count)]
         assert [output.status for output in outputs] == ["valid"] * 5, place
-    assert taken <= 6  # a twist
+        assert np.isfinite(outputs[-1].leg_positions).all() == (scenario.controller.law == "tracking"), place
+    assert taken <= (18 if scenario.controller.law == "tracking" else 6)
 
 
 @pytest.mark.parametrize("clock", [lambda now: now - 1.0, lambda now: np.nan], ids=["back", "nan"])
@@ -353,6 +359,29 @@ def test_a_clock_that_fails_leaves_the_brake_of_a_controller_that_has_lost_its_c
         moved = max(moved, np.abs(brake.wrench - brake.wrench[2] * np.eye(6)[2]).max())
         np.testing.assert_allclose(output.wrench, brake.wrench, rtol=1e-6, atol=1e-9)
     assert moved > 1e-3  # it brakes
+
+
+@pytest.mark.parametrize("jump", [1e9, 1e13, 1.7e18, 1e300])
+def test_a_clock_that_once_jumps_ahead_leaves_the_brake_its_damping(jump: float) -> None:
+    """Readings go on being a period apart: of a sum of ticks beyond 2^53 nothing would be left between two of them."""
+    scenario = hs.load_scenario("composite-30hz").updated({"sensors.pose": "encoders", "simulation.duration": 0.02})
+    ticks = ticks_of(scenario)
+    controller = hs.Controller(scenario)
+    rate = np.array([0.02, -0.01, 0.03, 0.01, -0.02, 0.01])  # of the legs [m/s]
+    for k in range(15):
+        now = float(ticks["now"][k, 0])
+        legs = ticks["leg_lengths"][0] + rate * now
+        output = controller.step(leg_lengths=legs, now=jump if k == 5 else now)
+    assert output.status == "unusable"
+    still = hs.Controller(scenario)  # its readings stay where the others end
+    for k in range(3):
+        at_rest = still.step(leg_lengths=legs, now=1e-3 * k)
+    damping = np.abs(output.leg_forces - at_rest.leg_forces)
+    assert damping.min() > 0.0
+    expected = hs.Controller(scenario)
+    for k in range(15):
+        braking = expected.step(leg_lengths=ticks["leg_lengths"][0] + rate * float(ticks["now"][k, 0]), now=1e-3 * k)
+    np.testing.assert_allclose(output.wrench, braking.wrench, rtol=1e-6)
 
 
 GRID = {

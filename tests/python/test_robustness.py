@@ -263,6 +263,27 @@ def test_a_run_too_long_is_refused_before_memory_is_asked_for(grid: dict[str, fl
     assert lines[0].startswith(key)
 
 
+def test_a_batch_that_finds_too_little_memory_raises_an_exception() -> None:
+    """A camera of 10 kHz and 100 s of latency has a million frames under way, some 0.8 kB each in a pack of 8."""
+    lines = python(
+        """
+        import resource
+        import hexservo as hs
+
+        camera = {"period": 1e-4, "latency": 100.0, "timeout": None, "prediction": "none"}
+        time = {"step": 1e-4, "duration": 0.001}
+        scenario = hs.load_scenario("composite-30hz").updated({"simulation": time, "camera": camera})
+        pages = int(open("/proc/self/statm").read().split()[0])
+        resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + 2**27,) * 2)
+        try:
+            hs.simulate_batch(scenario, {"uncertainty.gravity": [0.0] * 16})
+        except MemoryError as error:
+            print(type(error).__name__)
+        """
+    )
+    assert lines == ["MemoryError"]
+
+
 def python(code: str) -> list[str]:
     """Lines that another Python prints; it has to end well."""
     done = subprocess.run(

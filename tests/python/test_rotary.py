@@ -523,6 +523,37 @@ def test_what_no_machine_has_is_refused(head: hs.Scenario, changes: dict[str, An
     assert words in str(error.value)
 
 
+def test_short_cranks_that_close_near_home_alone_are_a_machine(head: hs.Scenario) -> None:
+    """Cranks of 20 mm on rods of 150 mm: regular at home, and out of reach at a tenth of a radius and 0.3 rad."""
+    at = np.deg2rad([-12.5, 12.5, 107.5, 132.5, 227.5, 252.5])
+    radial, tangential = (
+        np.column_stack([x, y, np.zeros(6)]) for x, y in ((np.cos(at), np.sin(at)), (-np.sin(at), np.cos(at)))
+    )
+    short = {
+        "preset": None,
+        "base_radius": 0.09,
+        "base_angles": at.tolist(),
+        "platform_radius": 0.07,
+        "platform_angles": np.deg2rad([-45, 45, 75, 165, 195, 285]).tolist(),
+        "home_position": [0.0, 0.0, -0.15],
+        "cranks": {
+            "length": 0.02,
+            "rod": 0.15,
+            "axes": radial.tolist(),
+            "zero": (np.tile([-1.0, 1.0], 3)[:, None] * tangential).tolist(),
+            "branch": BRANCH.tolist(),
+        },
+    }
+    block = {**robot(), "platform_joints": None, "base_joints": None, **short}
+    legs = hexapod(head.updated({"robot": block, "controller.composite.auto.bandwidth": None}))
+    sigma = legs.singular_values(np.array(legs.home_position), np.array([1.0, 0.0, 0.0, 0.0]))
+    assert sigma[5] / sigma[0] > 0.1
+    far = legs.singular_values(
+        np.array([0.002, -0.004, -0.145]), Rotation.from_rotvec([0.14, -0.22, 0.26]).as_quat()[[3, 0, 1, 2]]
+    )
+    np.testing.assert_array_equal(far, np.zeros(6))
+
+
 def test_files_of_a_run_have_the_units(head: hs.Scenario, tmp_path: Path) -> None:
     result = hs.simulate(head.updated({"robot.stroke": 0.02, "simulation.duration": 0.2}))
     data = json.loads((write_results(result, tmp_path / "out") / "metrics.json").read_text(encoding="utf-8"))

@@ -17,7 +17,8 @@ import pytest
 
 import hexservo as hs
 from hexservo import _core
-from hexservo.run.variant import ENVIRONMENT_VARIABLE, available_variants, chosen_kernel
+from hexservo.run.variant import ENVIRONMENT_VARIABLE, available_variants, chosen_kernel, load_kernel
+from hexservo.scenario.parameters import core_parameters
 
 X86 = bool(_core.processor_features())
 LANES = {"baseline": 2, "avx2": 4, "avx512": 8}
@@ -45,6 +46,27 @@ def test_the_fastest_that_the_processor_has_is_chosen() -> None:
     assert available_variants()[-1] == "baseline"
     run = python("from hexservo.run.variant import chosen_kernel as k; print(k().name, k().lanes)", None)
     assert run.stdout.split() == [available_variants()[0], str(LANES[available_variants()[0]])], run.stderr
+
+
+@pytest.mark.parametrize("variant", available_variants())
+def test_a_home_pose_at_the_origin_of_the_base_has_no_meaning_of_its_own(variant: str) -> None:
+    """Registers have places beyond six legs: joints at (0, 0, 0), whose leg has no length there."""
+    circles = [np.deg2rad(angles) for angles in ([-50, 50, 70, 170, 190, 290], [-10, 10, 110, 130, 230, 250])]
+    platform, base = (
+        np.column_stack([radius * np.cos(angles), radius * np.sin(angles), np.full(6, z)])
+        for radius, angles, z in zip((0.1, 0.2), circles, (0.0, 0.15), strict=True)
+    )
+    scenario = hs.load_scenario("composite-30hz").updated(
+        {
+            "robot.platform_joints": platform.tolist(),
+            "robot.base_joints": base.tolist(),
+            "robot.home_position": [0.0, 0.0, 0.0],
+            "sensors.pose": "encoders",
+            "simulation.duration": 0.05,
+        }
+    )
+    run = _core.simulate(core_parameters(scenario), load_kernel(variant))
+    assert (run.outcome.name, len(run.time)) == ("completed", 51), run.detail
 
 
 @pytest.mark.parametrize("variant", available_variants())

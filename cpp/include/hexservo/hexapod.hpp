@@ -539,7 +539,8 @@ inline constexpr double kRoundingOfLengths = 0.01 * kKinematicsTolerance;  ///< 
 
 /// What of the lengths of prismatic legs is of second order in a displacement (m; rad, in B) [m].
 ///
-/// With m = v + w x a the way of a joint, l + c.m + (|m|^2 - (c.m)^2)/(2 l) + c.(w x (w x a))/2 is the length.
+/// With m = v + w x a the way of a joint, l + c.m + (|m|^2 - (c.m)^2)/(2 l) + c.(w x (w x a))/2 is the length. Places
+/// beyond the legs are zero: their l is |p_BE|, which may be 0.
 template <class S>
 LegVector<S> curvature(const LegsSideBySide<S>& legs, const Vector6<S>& d) {
   using R = typename LegVector<S>::Register;
@@ -552,7 +553,7 @@ LegVector<S> curvature(const LegsSideBySide<S>& legs, const Vector6<S>& d) {
     change.part[r] =
         R(0.5) * ((dot<R>(way, way) - along * along) / legs.lengths.part[r] + dot<R>(c, cross<R>(turn, across)));
   }
-  return change;
+  return change.padded();
 }
 
 /// Square of the size of a Newton step, over r_p or 0.5 rad.

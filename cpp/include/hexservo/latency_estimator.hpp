@@ -106,11 +106,11 @@ class LatencyEstimator {
   /// Calls `f` with each member that is kept from frame to frame, always in the same order.
   template <class F>
   void for_each_member(F&& f) {
-    f(cost_);
+    f.finite(cost_);
     for (auto& of_frame : directions_)
-      for (Vector3<S>& direction : of_frame) f(direction);
-    f(stamps_);
-    f(seen_);
+      for (Vector3<S>& direction : of_frame) f.finite(direction);
+    f.finite(stamps_);
+    f.finite(seen_);
     weigh();
   }
 

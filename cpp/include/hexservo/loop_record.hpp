@@ -29,6 +29,9 @@ class LoopRecord {
     sample_.position = position_of(start.body);
     sample_.quaternion = quaternion_of(start.body);
     sample_.feature_error = desired_features_ - start.view.image.features;
+    sample_.depth = start.view.image.depth;
+    sample_.twist = twist_of(start.body);
+    sample_.leg_lengths = inverse_kinematics(legs_, sample_.position, start.view.R_BE).lengths.vector();
     metrics_.emplace(p.metrics, p.hexapod, p.body, desired_features_, sample_, p.points, p.measured);
   }
 

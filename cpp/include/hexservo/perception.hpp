@@ -53,6 +53,10 @@ struct Sensing {
 /// How far a time may be off a tick, or an age off its limit, and still be at it: rounding [ticks].
 inline constexpr double kTickTolerance = 1e-6;
 
+/// Longest way of the clock from one tick to the next as the joints' readings count it [ticks]: of a sum that is larger,
+/// rounding would leave no time between later readings.
+inline constexpr double kLongestTick = 1e9;
+
 /// Ticks on which a clock may stand still; one that does so for longer has stopped.
 inline constexpr std::size_t kStandingTicks = 10;
 
@@ -352,7 +356,7 @@ class Perception {
     const bool counts = sensing.pose_source == PoseSource::encoders || lifts_points(sensing.frames) ||
                         any(sensing.frames.timeout < S(kInfinity));
     const bool usable = advances || (stands && (!counts || standing_ <= kStandingTicks));
-    joint_time_ += !usable || clock_failed_ ? missed : first ? 0.0 : now - clock_;
+    joint_time_ += !usable || clock_failed_ ? missed : first ? 0.0 : std::min(now - clock_, kLongestTick);
     clock_failed_ = !usable;
     if (advances) clock_ = now;
     now_.usable = Mask<S>(usable);

@@ -76,7 +76,7 @@ inline SeedHalves<double> seed_halves(std::uint64_t seed) noexcept {
 /// The random numbers of one source; in a pack every lane has its own seed, and the numbers of its single run.
 ///
 /// An event (a frame, a sample, a tick) has numbered components. The components of `uniform` and of `normal` are made
-/// of the same bits: a source uses one of the two. A smaller K gives the first components of a larger one.
+/// of the same bits: a source uses one of the two for an event. A smaller K gives the first components of a larger one.
 template <class S>
 class RandomStream {
  public:

@@ -102,15 +102,12 @@ template <class S, int N>
   const Perceived<S, N>& seen = state.perception.now();
   const Mask<S> known = seen.joints & (!out.singular);
   // A pose that stays as it is between two readings is measured once.
-  const auto differs = [&](const Pose<S>& pose) {
-    return Mask<S>((seen.pose.position - pose.position).squaredNorm() +
-                       (seen.pose.quaternion - pose.quaternion).squaredNorm() >
-                   S(0.0));
-  };
-  const Mask<S> begins = !(state.braked > S(0.5)), second = state.braked < S(1.5);
-  const Mask<S> is_new =
-      begins | seen.read | (second & differs(state.stop_pose)) | ((!second) & differs(state.later_pose));
-  const Mask<S> counts = known & (!out.acts) & is_new;
+  const Pose<S> measured = select_pose(state.braked < S(1.5), state.stop_pose, state.later_pose);
+  const Mask<S> differs = (seen.pose.position - measured.position).squaredNorm() +
+                              (seen.pose.quaternion - measured.quaternion).squaredNorm() >
+                          S(0.0);
+  const Mask<S> begins = !(state.braked > S(0.5));
+  const Mask<S> counts = known & (!out.acts) & (begins | seen.read | differs);
   state.braked = select(out.acts, S(0.0), select(counts, S(state.braked + S(1.0)), state.braked));
   const auto is_tick = [&](double count) { return counts & (state.braked == S(count)); };
   state.stop_pose = select_pose(is_tick(1.0), seen.pose, state.stop_pose);

@@ -493,8 +493,6 @@ struct PoseEstimate {
   Pose<S> pose;        ///< in B; quaternion of unit length
   S squared_residual;  ///< |xi - xi(pose)|^2 [px^2]
   S prior_share;       ///< of the given weight that the prior had in the end [1]
-  S decrement;         ///< what a first-order step would still gain, |P_J (xi - xi(pose))|^2 without a prior; 0 at a
-                       ///< minimum [px^2]
   Pose<S> rough;       ///< that with all of the prior's weight, from which it was found
   Mask<S> mirrored;    ///< it was found from the mirror image of the pose near the start
   Mask<S> failed;      ///< a point is not in front of the camera, or the image does not determine the pose
@@ -540,13 +538,9 @@ PoseEstimate<S> estimate_pose(const CameraView<S>& camera, const Eigen::Matrix<S
   const ImageJacobian<S, N> J(camera, S(-1.0), fit.features, fit.inverse_depth, fit.pose.position, fit.R_BE);
   Matrix6<S> A = J.normal_matrix(weights);
   A.diagonal() += prior.weight;
-  const Cholesky<S, 6> solver(A);
-  const Vector<S, 2 * N> residual = features - fit.features;
-  const Vector6<S> gradient = J.pull(weights.times(residual)).vector() + prior.gradient(fit.prior_error);
   estimate.pose = fit.pose;
   estimate.squared_residual = fit.squared_residual;
-  estimate.decrement = gradient.dot(solver.solve(gradient));
-  estimate.failed = solver.failed() | !is_finite(fit.squared_residual);
+  estimate.failed = Cholesky<S, 6>(A).failed() | !is_finite(fit.squared_residual);
   return estimate;
 }
 

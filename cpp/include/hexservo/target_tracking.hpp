@@ -81,12 +81,12 @@ struct TrackedTarget {
   template <class F>
   void for_each_member(F&& f) {
     f(known);
-    f(seen_at);
+    f.time(seen_at);
     for (Pose<S>* pose : {&place, &mean, &view}) {
-      f(pose->position);
-      f(pose->quaternion);
+      f.finite(pose->position);
+      f.finite(pose->quaternion);
     }
-    for (Vector6<S>* six : {&twist, &xx, &xv, &vv, &moving, &weight}) f(*six);
+    for (Vector6<S>* six : {&twist, &xx, &xv, &vv, &moving, &weight}) f.finite(*six);
   }
 };
 
@@ -120,10 +120,10 @@ struct TrackingState {
       latency.for_each_member(f);
       latency_range = latency.range();
     }
-    f(offset);
-    f(behind);
-    f(reading);
-    f(still);
+    f.finite(offset);
+    f.finite(behind);
+    f(reading);  // NaN before the first one
+    f.finite(still);
     f(integrating);
   }
 };

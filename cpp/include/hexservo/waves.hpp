@@ -45,6 +45,15 @@ class Waves {
     return curve;
   }
 
+  /// Each sum where all its waves are in phase.
+  Vector3<S> largest() const {
+    using std::abs;
+    Vector3<S> sums = Vector3<S>::Zero();
+    for (std::size_t axis = 0; axis < 3; ++axis)
+      for (const Wave<S>& wave : waves_[axis]) sums(static_cast<int>(axis)) += abs(wave.amplitude);
+    return sums;
+  }
+
  private:
   std::array<std::vector<Wave<S>>, 3> waves_;
 };
