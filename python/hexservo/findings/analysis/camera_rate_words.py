@@ -13,7 +13,7 @@ from hexservo.findings.analysis.linear_loop import Clock
 from hexservo.findings.analysis.loop_of_scenario import OFFSET as START
 from hexservo.findings.analysis.loop_of_scenario import LoopAtRest, proportional_gains
 from hexservo.findings.analysis.scene import scene_of
-from hexservo.findings.analysis.words import number
+from hexservo.findings.analysis.words import AXES, finite, number
 from hexservo.findings.evidence import Cell, Column, HeatMap, Line, Section, Table, Verdict, picked
 from hexservo.run.leg_limits import LimitUse, limits_of_motion
 from hexservo.scenario.leg_units import leg_units
@@ -24,7 +24,6 @@ ENOUGH_GAIN = 2.0
 """Factor on the gain below which the margin counts as small: 6 dB."""
 
 _TITLE = "How fast must the camera be?"
-_AXES = ("along x", "along y", "along z", "about x", "about y", "about z")
 
 
 def section(result: CameraRate) -> Section:
@@ -159,7 +158,7 @@ def _sentences(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Marg
 def _which(margin: Margins) -> str:
     if margin.motion is None:
         return ""
-    return f" {_mode(margin.border_frequency)}, mostly {_AXES[int(np.argmax(margin.motion))]}"
+    return f" {_mode(margin.border_frequency)}, mostly {AXES[int(np.argmax(margin.motion))]}"
 
 
 def _about_kv(result: CameraRate, free: Margins, tick: float) -> list[str]:
@@ -351,7 +350,7 @@ def _items(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins)
         ),
         row("gain factor at the limit, upwards", "", lambda m: m.gain[1]),
         row("gain factor at the limit, downwards", "", lambda m: m.gain[0]),
-        row("frequency of the mode at the limit", "Hz", lambda m: _finite(m.border_frequency)),
+        row("frequency of the mode at the limit", "Hz", lambda m: finite(m.border_frequency)),
         row("modes that drift with any camera", "", lambda m: m.drifts),
         row("neutral modes, excluded", "", lambda m: m.resting),
     ]
@@ -390,29 +389,22 @@ def _items(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins)
         )
     if result.runs:
         items.append(
-            Table(
+            Table.of(
                 "Runs near the stability limit",
+                result.runs,
                 [
-                    Column("varied"),
-                    Column("value", "1 or s"),
-                    Column("start", "px"),
-                    Column("predicted growth", "1/s", "+.3g"),
-                    Column("measured growth", "1/s", "+.3g"),
-                    Column("agrees"),
-                ],
-                [
-                    [run.key, run.value, run.offset, run.predicted, _finite(run.measured), run.agrees]
-                    for run in result.runs
+                    (Column("varied"), lambda run: run.key),
+                    (Column("value", "1 or s"), lambda run: run.value),
+                    (Column("start", "px"), lambda run: run.offset),
+                    (Column("predicted growth", "1/s", "+.3g"), lambda run: run.predicted),
+                    (Column("measured growth", "1/s", "+.3g"), lambda run: finite(run.measured)),
+                    (Column("agrees"), lambda run: run.agrees),
                 ],
                 note="The goal image is that from home; no noise, K_v = 0. An empty growth: the run ended early.",
                 page=PAGE,
             )
         )
     return items
-
-
-def _finite(value: float) -> float | None:
-    return value if np.isfinite(value) else None
 
 
 def _data(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins) -> dict[str, Any]:
@@ -467,9 +459,9 @@ def _data(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins) 
                 "beyond": None if border.beyond is None else border.beyond * tick,
                 "largest": border.largest * tick,
                 "limit": border.use.limit.kind,
-                "share": _finite(border.use.share),
+                "share": finite(border.use.share),
                 "own_limit": border.own.limit.kind,
-                "own_share": _finite(border.own.share),
+                "own_share": finite(border.own.share),
             }
             for key, border in result.limits.items()
         },

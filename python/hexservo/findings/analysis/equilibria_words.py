@@ -16,7 +16,7 @@ from hexservo.findings.analysis.words import (
     open_section,
     vector_words,
 )
-from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict, picked
+from hexservo.findings.evidence import Column, Curves, Item, Line, Section, Table, Verdict, picked
 from hexservo.scenario.laws import laws_with
 
 PAGE = "docs/analysis/equilibria.md"
@@ -131,38 +131,26 @@ def _gravity_words(result: Equilibria, goal: Equilibrium | None) -> str:
 
 
 def _items(result: Equilibria) -> list[Item]:
-    rows: list[list[Cell]] = [
+    table = Table.of(
+        "Equilibria found",
+        result.found,
         [
-            e.kind,
-            e.stability,
-            e.residual,
-            vector_words(1e3 * e.displacement[:3]),
-            vector_words(1e3 * e.displacement[3:]),
-            1e3 * float(np.abs(e.leg_travel).max()),
-            "yes" if e.reachable else "no",
-            float(e.eigenvalues[0].real),
-            e.growth,
-            e.starts,
-        ]
-        for e in result.found
-    ]
-    columns = [
-        Column("equilibrium"),
-        Column("stability"),
-        Column("image error", "px", ".3g"),
-        Column("position from home", "mm"),
-        Column("rotation vector from home", "mrad"),
-        Column("largest leg travel", result.leg_unit, ".3g"),
-        Column("reachable"),
-        Column("smallest eigenvalue", "1/s^2", ".3g"),
-        Column("slowest mode", "1/s", ".3g"),
-        Column("searches that ended here", "", "d"),
-    ]
-    note = (
+            (Column("equilibrium"), lambda e: e.kind),
+            (Column("stability"), lambda e: e.stability),
+            (Column("image error", "px", ".3g"), lambda e: e.residual),
+            (Column("position from home", "mm"), lambda e: vector_words(1e3 * e.displacement[:3])),
+            (Column("rotation vector from home", "mrad"), lambda e: vector_words(1e3 * e.displacement[3:])),
+            (Column("largest leg travel", result.leg_unit, ".3g"), lambda e: 1e3 * float(np.abs(e.leg_travel).max())),
+            (Column("reachable"), lambda e: "yes" if e.reachable else "no"),
+            (Column("smallest eigenvalue", "1/s^2", ".3g"), lambda e: float(e.eigenvalues[0].real)),
+            (Column("slowest mode", "1/s", ".3g"), lambda e: e.growth),
+            (Column("searches that ended here", "", "d"), lambda e: e.starts),
+        ],
         "Eigenvalues of the stiffness over the inertia: attracting where all real parts are positive and, with "
-        "viscous damping, all modes decay. The slowest mode is that of the loop with this damping; negative decays."
+        "viscous damping, all modes decay. The slowest mode is that of the loop with this damping; negative decays.",
+        PAGE,
     )
-    items: list[Item] = [Table("Equilibria found", columns, rows, note, PAGE)]
+    items: list[Item] = [table]
     if result.barrier is not None:
         items.append(
             Curves(
