@@ -16,6 +16,7 @@ from hexservo.findings.analysis.goal import SHOWN, find_goals
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.reach import nearest_limit
 from hexservo.findings.analysis.scene import AT_HOME, WIDER, Scene, scene_of
+from hexservo.findings.analysis.tried import ROUNDS, bordering, quarters
 from hexservo.findings.part import Part
 from hexservo.run.batch import simulate_batch, whole
 from hexservo.run.leg_limits import LimitUse, most_used
@@ -26,7 +27,6 @@ from hexservo.scenario.scenario import Scenario
 
 _SHORT, _LONG = 2.0, 10.0  # [s], of a run, and of one where the task itself needs longer
 _GRID = 8  # sizes in the first round, up to the largest that is possible
-_ROUNDS = 2  # of bisection in quarters
 _TICKS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 200, 300, 500)  # periods and latencies of the first round
 
 
@@ -85,10 +85,7 @@ class Timing:
     @property
     def settles_to(self) -> float | None:
         """Largest time [s] below which everything that was tried settles; None where the smallest already fails."""
-        good = [time for time, settled in self.tried.items() if settled]
-        failed = self.fails_at
-        low = [time for time in good if failed is None or time < failed]
-        return max(low) if low else None
+        return bordering(self.tried)[0]
 
     @property
     def fails_at(self) -> float | None:
@@ -127,9 +124,8 @@ class LargestStart(Part):
 
 def border(tried: Mapping[float, bool]) -> tuple[float, float | None]:
     """Return the largest size below the smallest that fails, and that one: (0, ...) for none, (..., None) for none."""
-    failed = min((size for size, good in tried.items() if not good), default=None)
-    good = [size for size, settled in tried.items() if settled and (failed is None or size < failed)]
-    return max(good, default=0.0), failed
+    good, failed = bordering(tried)
+    return good or 0.0, failed
 
 
 def analyse(scenario: Scenario) -> LargestStart:
@@ -279,7 +275,7 @@ def _directions(scene: Scene, trial: _Trial) -> tuple[Direction, ...]:
         sizes = [way.largest * k / _GRID for k in range(1, _GRID + 1)]
         return [*sizes, 1.0] if way.name == "own" and way.largest >= 1.0 else sizes
 
-    def quarters(way: Direction) -> list[float]:
+    def halfway(way: Direction) -> list[float]:
         low, high = border(way.tried)
         return [] if high is None else [low + part * (high - low) for part in (0.25, 0.5, 0.75)]
 
@@ -290,8 +286,8 @@ def _directions(scene: Scene, trial: _Trial) -> tuple[Direction, ...]:
 
     run(grid)
     run(between)
-    for _ in range(_ROUNDS):
-        run(quarters)
+    for _ in range(ROUNDS):
+        run(halfway)
     later = _settles_later(scene, trial, ways)
     return tuple(
         replace(way, settles_later=settles, error=_error(scene, way)) for way, settles in zip(ways, later, strict=True)
@@ -405,10 +401,6 @@ def _times(base: Scenario, what: str, trial: _Trial) -> tuple[Tried, dict[float,
     longest = base.simulation.duration / (2.0 if what == "period" else 1.0)
     shown = [tick for tick in _TICKS if tick * step < longest] or [1]
     run(shown if what == "period" else [0, *shown])
-    for _ in range(_ROUNDS):
-        failed = min((tick for tick, good in tried.items() if not good), default=None)
-        if failed is None:
-            break
-        low = max((tick for tick, good in tried.items() if good and tick < failed), default=failed)
-        run([low + round(part * (failed - low)) for part in (0.25, 0.5, 0.75)])
+    for _ in range(ROUNDS):
+        run(quarters(tried))
     return {tick * step: good for tick, good in tried.items()}, beyond
