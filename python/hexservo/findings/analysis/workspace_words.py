@@ -6,7 +6,7 @@ import numpy as np
 
 from hexservo.findings.analysis.goal import TOLERANCE
 from hexservo.findings.analysis.reach import leg_margin
-from hexservo.findings.analysis.words import number
+from hexservo.findings.analysis.words import finite, number
 from hexservo.findings.analysis.workspace import RANDOM, WAY, Reach, Workspace, WorkspacePose
 from hexservo.findings.evidence import Column, HeatMap, Line, Section, Table, Verdict
 
@@ -38,9 +38,8 @@ def _verdict(found: Workspace) -> Verdict:
     reached = found.nearest or found.start
     if not reached.reachable or np.abs(reached.actual_forces).max() > found.force_limit:
         return "bad"
-    force = max(float(np.abs(place.actual_forces).max()) for place in _places(found))
     slim = min([*(place.left for place in _places(found)), *found.way_left]) < _SLIM or not found.way_within.all()
-    slim = slim or force > (1 - _SLIM) * found.force_limit
+    slim = slim or _largest_force(found) > (1 - _SLIM) * found.force_limit
     singular = found.neighbourhood_singularity < _SLIM * found.start.singularity
     return "warning" if slim or singular else "good"
 
@@ -82,9 +81,13 @@ def _sentences(found: Workspace) -> list[str]:
 
 def _overloaded(found: Workspace) -> bool:
     """Return whether the holding forces are near the limit of the legs, or beyond, and no other limit is exceeded."""
-    force = max(float(np.abs(place.actual_forces).max()) for place in _places(found))
     beyond = (found.nearest or found.start).left < 0
-    return not beyond and force > (1 - _SLIM) * found.force_limit
+    return not beyond and _largest_force(found) > (1 - _SLIM) * found.force_limit
+
+
+def _largest_force(found: Workspace) -> float:
+    """Return the largest force of a leg that holds the actual weight at the start and at the goal [N], torque [N m]."""
+    return max(float(np.abs(place.actual_forces).max()) for place in _places(found))
 
 
 def _of_goal(found: Workspace) -> str:
@@ -208,7 +211,7 @@ def _reach_table(found: Workspace) -> Table:
         ahead, back = found.axes[2 * pair], found.axes[2 * pair + 1]
         unit = "mm" if pair < 3 else "mrad"
         name = ("shift along " if pair < 3 else "turn about ") + _AXES[pair % 3]
-        rows.append((name, unit, *(_cell(end) for end in (ahead, back)), _end(ahead), _end(back)))
+        rows.append((name, unit, *(finite(1e3 * end.distance) for end in (ahead, back)), _end(ahead), _end(back)))
     return Table(
         title="Reach from home, by axis",
         columns=(
@@ -305,10 +308,6 @@ def _end(end: Reach) -> str | None:
 
 def _distance(end: Reach) -> str:
     return number(1e3 * end.distance) if np.isfinite(end.distance) else "any number of"
-
-
-def _cell(end: Reach) -> float | None:
-    return 1e3 * end.distance if np.isfinite(end.distance) else None
 
 
 def _reach_words(ends: tuple[Reach, ...], unit: str, word: str) -> str:
