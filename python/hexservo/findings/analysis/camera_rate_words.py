@@ -145,9 +145,8 @@ def _sentences(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Marg
             f"{acting.resting} modes are neutral with any camera, and are excluded: they have no stiffness, "
             "or fuzzy systems driven by the rate alone (drive 0) make them a spring towards the start."
         )
-    found = [*_about_starts(result, acting), *found] if result.stable != acting.stable else found
-    if result.stable == acting.stable:
-        found.extend(_about_starts(result, acting))
+    starts = _about_starts(result, acting)
+    found = [*found, *starts] if result.stable == acting.stable else [*starts, *found]
     found.extend(_about_learned(result, tick))
     found.extend(_about_kv(result, free, tick))
     found.extend(_about_runs(result))
@@ -329,25 +328,18 @@ def _number(border: Border, tick: float, less: int = 0) -> Cell:
 
 def _items(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins) -> list[Table | HeatMap]:
     tick = at_rest.scenario.simulation.step
-    both = [free] + ([result.smooth] if result.smooth is not None else [])
-    heads = ["K_v = 0"] + (["slope k_v/width"] if result.smooth is not None else [])
-    if result.learned is not None:
-        both.append(result.learned)
-        heads.append("learned weights")
+    all_three = {"K_v = 0": free, "slope k_v/width": result.smooth, "learned weights": result.learned}
+    columns = {head: margins for head, margins in all_three.items() if margins is not None}
 
     def row(name: str, unit: str, of: Callable[[Margins], Cell]) -> list[Cell]:
-        return [name, unit, *(of(one) for one in both)]
+        return [name, unit, *(of(margins) for margins in columns.values())]
 
     rows = [
         row("spectral radius over one period", "", lambda m: m.radius),
         row("growth of the slowest mode", "1/s", lambda m: m.rate),
         row("largest stable period at this latency", "ms", lambda m: _number(m.period, tick)),
         row("largest stable latency at this period", "ms", lambda m: _number(m.latency, tick)),
-        row(
-            "delay margin",
-            "ms",
-            lambda m: _number(m.latency, tick, clock.latency) if m.stable else None,
-        ),
+        row("delay margin", "ms", lambda m: _number(m.latency, tick, clock.latency) if m.stable else None),
         row("gain factor at the limit, upwards", "", lambda m: m.gain[1]),
         row("gain factor at the limit, downwards", "", lambda m: m.gain[0]),
         row("frequency of the mode at the limit", "Hz", lambda m: finite(m.border_frequency)),
@@ -358,7 +350,7 @@ def _items(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins)
     items: list[Table | HeatMap] = [
         Table(
             "Margins of the linear sampled loop at the goal",
-            [Column("quantity"), Column("unit"), *(Column(head) for head in heads)],
+            [Column("quantity"), Column("unit"), *(Column(head) for head in columns)],
             rows,
             note=f"Periods and latencies are whole ticks, searched up to {longest}; gain factors between "
             f"{1 / LARGEST_FACTOR:g} and {LARGEST_FACTOR:g}. An empty cell: there is none. All columns are at the "
@@ -446,11 +438,7 @@ def _data(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins) 
         "with_learned_weights": None if result.learned is None else numbers(result.learned),
         "settles": result.settles,
         "starts": [
-            {
-                **picked(run, "offset duration ending"),
-                "peak_error": run.peak,
-                "leg_travel": run.travel,
-            }
+            {**picked(run, "offset duration ending"), "peak_error": run.peak, "leg_travel": run.travel}
             for run in result.starts
         ],
         "limits": {

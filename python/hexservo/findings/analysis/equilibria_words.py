@@ -79,8 +79,9 @@ def _sentences(result: Equilibria) -> list[str]:
         )
     elif goal.stability not in ("attracting", "oscillating"):
         words.append(
-            f"The goal itself does not attract: it is {_article(goal.stability)}, and the image part drives the "
-            f"platform away along {direction_words(goal.weakest, result.depth)}, where its eigenvalue is "
+            f"The goal itself does not attract: it is {'a saddle' if goal.stability == 'saddle' else goal.stability}, "
+            "and the image part drives the platform away along "
+            f"{direction_words(goal.weakest, result.depth)}, where its eigenvalue is "
             f"{number(goal.eigenvalues[0].real)} 1/s^2 (the largest is {number(goal.eigenvalues[-1].real)})."
         )
     elif goal.kind != "displaced goal":
@@ -186,7 +187,3 @@ def _data(result: Equilibria) -> dict[str, Any]:
             for e in result.found
         ],
     }
-
-
-def _article(word: str) -> str:
-    return {"saddle": "a saddle", "repelling": "repelling"}.get(word, word)

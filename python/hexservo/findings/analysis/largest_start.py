@@ -184,22 +184,17 @@ class _Trial:
         self.longer = min(own, _whole(_LONG, step))
         self.duration = min(own, _whole(_SHORT, step))
         self.scenario = scenario.updated({**AT_HOME, "simulation.duration": self.duration})
-        self.task_settles = self._task_settles()
-        if not self.task_settles and self.duration < self.longer:
-            short, self.scenario = self.scenario, self.longest()
-            self.task_settles = self._task_settles()
-            if self.task_settles:
-                self.duration = self.longer
-            else:
-                self.scenario = short
+        self.task_settles = self._settles(self.scenario)
+        if not self.task_settles and self.duration < self.longer and self._settles(self.longest()):
+            self.task_settles, self.duration, self.scenario = True, self.longer, self.longest()
 
     def longest(self) -> Scenario:
         """Return the scenario with the longer duration."""
         return self.scenario.updated({"simulation.duration": self.longer})
 
-    def _task_settles(self) -> bool:
-        goal = np.array([self.scenario.target.desired_features])
-        return bool(self.ends({"target.desired_features": goal}).settled[0])
+    def _settles(self, task: Scenario) -> bool:
+        goal = np.array([task.target.desired_features])
+        return bool(self.ends({"target.desired_features": goal}, task).settled[0])
 
     def ends(self, variations: Mapping[str, Array], scenario: Scenario | None = None) -> _Ends:
         """Run each variation and return how it ends.
@@ -362,11 +357,12 @@ def _timings(scenario: Scenario, trial: _Trial) -> tuple[tuple[Timing, ...], str
     """Try periods and latencies for the task itself, in the sampled loop."""
     assumed, changes = "", {}
     if scenario.simulation.mode != "sampled":
-        assumed = f"sampled every {1e3 * scenario.simulation.step:.3g} ms, "
+        assumed = f"sampled every {1e3 * scenario.simulation.step:.3g} ms"
         changes["simulation.mode"] = "sampled"
         if scenario.controller.law in laws_with("switching") and scenario.controller.switching.kind == "sign":
-            assumed = f"sampled every {1e3 * scenario.simulation.step:.3g} ms with implicit switching, "
+            assumed += " with implicit switching"
             changes["controller.switching.kind"] = "implicit"
+        assumed += ", "
     sampled = trial.scenario.updated(changes) if changes else trial.scenario
     predictions = [sampled.camera.prediction]
     if predictions == ["none"] and scenario.controller.law in LAWS:  # the others predict the target

@@ -8,6 +8,7 @@ from hexservo.findings.certificate.lyapunov import Lyapunov, Rise
 from hexservo.findings.certificate.uncertainty import AXES
 from hexservo.findings.certificate.words import stride
 from hexservo.findings.evidence import Column, Curves, Line, Section, Table, Verdict
+from hexservo.scenario.laws import SMOOTH_KINDS
 from hexservo.scenario.wording import joules, number, shown_unit
 
 PAGE = "docs/certificate/lyapunov.md"
@@ -71,7 +72,7 @@ def section(found: Lyapunov) -> Section:
             f"{found.limited} samples lie next to a step that the weights' limit cut and are left out; the cut "
             "itself never raises V, since w* keeps the limit."
         )
-    if rising and found.switching in ("tanh", "saturation"):
+    if rising and found.switching in SMOOTH_KINDS:
         sentences.append(
             f"With {found.switching} K_v acts in full only outside of its layer: V may grow inside it although the "
             "assumption holds."
