@@ -267,7 +267,6 @@ def _about_runs(result: CameraRate) -> list[str]:
     if not result.runs:
         return ["There was no stability limit to check by simulation."]
     inside, outside = result.runs
-    agree = inside.agrees and outside.agrees
     name = {"gain": "gain", "latency": "latency", "period": "camera period"}[inside.key]
     offsets = " and ".join(dict.fromkeys(f"{run.offset:g} px" for run in result.runs))
     text = (
@@ -275,7 +274,7 @@ def _about_runs(result: CameraRate) -> list[str]:
         f"predicted {inside.predicted:+.3g} 1/s, measured {inside.measured:+.3g} 1/s; outside "
         f"{outside.predicted:+.3g} 1/s, measured {outside.measured:+.3g} 1/s."
     )
-    if not agree:
+    if not (inside.agrees and outside.agrees):
         return [text + " They disagree: the linear loop does not describe these runs."]
     if any(run.offset < START for run in result.runs):
         text += f" From {START:g} px a run behaves differently: this far from its goal the loop is not linear."
@@ -431,8 +430,7 @@ def _data(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins) 
         "latency": clock.latency * tick,
         "as_if_sampled": at_rest.as_if_sampled,
         "residual": at_rest.rest.residual,
-        "position": at_rest.rest.view.pose.position,
-        "quaternion": at_rest.rest.view.pose.quaternion,
+        **picked(at_rest.rest.view.pose, "position quaternion"),
         "without_kv": numbers(free),
         "with_slope": None if result.smooth is None else {"slope": at_rest.slope, **numbers(result.smooth)},
         "with_learned_weights": None if result.learned is None else numbers(result.learned),
@@ -455,8 +453,5 @@ def _data(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins) 
         },
         "acting": "with_slope" if result.acting is result.smooth and result.smooth is not None else "without_kv",
         "map": {"periods": result.periods, "latencies": result.latencies, "spectral_radius": result.radii},
-        "runs": [
-            {"varied": r.key, "value": r.value, "offset": r.offset, "predicted": r.predicted, "measured": r.measured}
-            for r in result.runs
-        ],
+        "runs": [{"varied": run.key, **picked(run, "value offset predicted measured")} for run in result.runs],
     }

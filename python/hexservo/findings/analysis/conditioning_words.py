@@ -17,7 +17,7 @@ from hexservo.findings.analysis.placement import (
     shape_name,
 )
 from hexservo.findings.analysis.words import displacement_words, motion_in_words, number, numbers
-from hexservo.findings.evidence import Cell, Column, Curves, Line, Section, Table, Verdict
+from hexservo.findings.evidence import Cell, Column, Curves, Line, Section, Table, Verdict, picked
 from hexservo.scenario.arrays import Array
 
 PAGE = "docs/analysis/conditioning.md"
@@ -160,13 +160,10 @@ def _data(found: Conditioning, sights: list[Sight]) -> dict[str, object]:
             sight.place.replace(" ", "_"): {
                 "singular_values": sight.values,
                 "scaled_singular_values": sight.scaled_values,
-                "directions": sight.directions,
-                "condition": sight.condition,
-                "scaled_condition": sight.scaled_condition,
+                **picked(sight, "directions condition scaled_condition"),
                 "pose_sigma_per_px": sight.pose_sigma,
                 "worst_per_px": sight.worst,
-                "position": sight.view.pose.position,
-                "quaternion": sight.view.pose.quaternion,
+                **picked(sight.view.pose, "position quaternion"),
             }
             for sight in sights
         },
@@ -177,9 +174,7 @@ def _data(found: Conditioning, sights: list[Sight]) -> dict[str, object]:
         "image_radius": image_radius(found.scene),
         "placements": [
             {
-                "name": placement.name,
-                "features": placement.features,
-                "depth": placement.depth,
+                **picked(placement, "name features depth"),
                 "pose_sigma_per_px": placement.pose_sigma,
                 "worst_per_px": placement.worst,
             }

@@ -171,8 +171,7 @@ def _data(found: Drift) -> dict[str, Any]:
             "smallest_eigenvalue_goal": p.goal,
             **picked(p, "direction rate time_constant"),
             "end_displacement": p.end,
-            "end_rate": p.end_rate,
-            "end_error": p.end_error,
+            **picked(p, "end_rate end_error"),
             "end_leg_travel": p.end_travel,
         }
 
@@ -191,8 +190,7 @@ def _data(found: Drift) -> dict[str, Any]:
             }
             for s in found.sizes
         ],
-        "limit_start": found.limit_start,
-        "limit_goal": found.limit_goal,
+        **picked(found, "limit_start limit_goal"),
         "largest_searched": LARGEST,
     }
 

@@ -172,8 +172,7 @@ def _data(result: Equilibria) -> dict[str, Any]:
         "applies": True,
         **picked(result, "law starts_within starts_wider"),
         "seed": SEED,
-        "stroke": result.stroke,
-        "depth": result.depth,
+        **picked(result, "stroke depth"),
         "false_attracting_reachable": len(result.traps),
         **picked(result, "gravity_force gravity_direction gravity_stiffness"),
         "equilibria": [

@@ -216,8 +216,7 @@ def _data(found: LargestStart) -> dict[str, Any]:
     return {
         "applies": True,
         "empirical": True,
-        "law": found.law,
-        "duration": found.duration,
+        **picked(found, "law duration"),
         "longer_duration": found.longer or None,
         "runs": found.runs,
         "directions": [

@@ -7,7 +7,7 @@ import numpy as np
 from hexservo.findings.certificate.lyapunov import Lyapunov, Rise
 from hexservo.findings.certificate.uncertainty import AXES
 from hexservo.findings.certificate.words import stride
-from hexservo.findings.evidence import Column, Curves, Line, Section, Table, Verdict
+from hexservo.findings.evidence import Column, Curves, Line, Section, Table, Verdict, picked
 from hexservo.scenario.laws import SMOOTH_KINDS
 from hexservo.scenario.wording import joules, number, shown_unit
 
@@ -108,8 +108,7 @@ def section(found: Lyapunov) -> Section:
             "samples_compared": found.compared,
             "samples_left_out_switching": found.switched,
             "samples_left_out_limit": found.limited,
-            "change_in_switches": found.change_in_switches,
-            "rise_in_a_switch": found.rise_in_a_switch,
+            **picked(found, "change_in_switches rise_in_a_switch"),
             "samples_rising": rising,
             "rises": [vars(rise) for rise in found.rises],
         },
