@@ -48,8 +48,9 @@ class Table:
         title: str,
         things: Iterable[_Thing],
         columns: Sequence[tuple[Column, Callable[[_Thing], Cell]]],
+        *,
         note: str = "",
-        page: str = "",
+        page: str,
     ) -> Table:
         """Return a table with a row for each thing: beside its head, a column has the function that gives its cell."""
         rows = [[cell(thing) for _, cell in columns] for thing in things]

@@ -11,7 +11,7 @@ import numpy as np
 from hexservo.findings.analysis.linear_loop import Clock
 from hexservo.findings.analysis.scene import ALL_AXES, scene_of
 from hexservo.findings.analysis.tried import ROUNDS, bordering, quarters
-from hexservo.run.batch import simulate_batch, whole
+from hexservo.run.batch import metrics_of, simulate_batch, whole
 from hexservo.run.leg_limits import LimitUse, most_used
 from hexservo.run.metrics import metrics
 from hexservo.run.result import Result
@@ -146,7 +146,7 @@ def limit_border(task: Scenario, key: Literal["period", "latency"], clock: Clock
         values = np.array([value * tick for value in new])
         batch = whole(simulate_batch(task, {f"camera.{key}": values}, log="metrics"))
         for row, value in enumerate(new):
-            use = most_used(task, {name: float(values[row]) for name, values in batch.metrics.items()})
+            use = most_used(task, metrics_of(batch, row))
             # A run that ends early has no number of the legs, but the task was not done: the camera is too slow.
             done = batch.outcome[row] in ("completed", "leg_limit")
             uses[value] = use if done else replace(use, peak=np.inf)

@@ -120,9 +120,9 @@ def _items(found: Drift) -> list[Item]:
                 (Column("leg travel there", found.leg_unit, ".3g"), lambda p: finite(1e3 * p.end_travel)),
                 (Column("direction"), lambda p: direction_words(p.direction, found.depth)),
             ],
-            "A negative time constant is that of growth. The end is where the pose error is zero, by Newton's "
+            note="A negative time constant is that of growth. The end is where the pose error is zero, by Newton's "
             "method on the core's law, without a gravity error.",
-            PAGE,
+            page=PAGE,
         ),
         Table.of(
             "Sizes of depth errors",
@@ -138,8 +138,8 @@ def _items(found: Drift) -> list[Item]:
                 (Column("no prior, start", "of 14", "d"), lambda s: s.negative_image_only[0]),
                 (Column("no prior, goal", "of 14", "d"), lambda s: at_goal(s.negative_image_only)),
             ],
-            "Unequal signs only: 14 of the 16 patterns.",
-            PAGE,
+            note="Unequal signs only: 14 of the 16 patterns.",
+            page=PAGE,
         ),
     ]
     if found.grid is not None and found.curves:

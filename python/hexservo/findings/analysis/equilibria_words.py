@@ -147,9 +147,9 @@ def _items(result: Equilibria) -> list[Item]:
             (Column("slowest mode", "1/s", ".3g"), lambda e: e.growth),
             (Column("searches that ended here", "", "d"), lambda e: e.starts),
         ],
-        "Eigenvalues of the stiffness over the inertia: attracting where all real parts are positive and, with "
+        note="Eigenvalues of the stiffness over the inertia: attracting where all real parts are positive and, with "
         "viscous damping, all modes decay. The slowest mode is that of the loop with this damping; negative decays.",
-        PAGE,
+        page=PAGE,
     )
     items: list[Item] = [table]
     if result.barrier is not None:

@@ -18,7 +18,7 @@ from hexservo.findings.analysis.reach import nearest_limit
 from hexservo.findings.analysis.scene import AT_HOME, WIDER, Scene, scene_of
 from hexservo.findings.analysis.tried import ROUNDS, bordering, quarters
 from hexservo.findings.part import Part
-from hexservo.run.batch import simulate_batch, whole
+from hexservo.run.batch import metrics_of, simulate_batch, whole
 from hexservo.run.leg_limits import LimitUse, most_used
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.laws import LAWS, laws_with
@@ -168,9 +168,8 @@ class _Ends:
     """Results of variations of a scenario, one row each."""
 
     settled: Mask  # in the image, with all legs within their limits all the way
-    only_limits: Mask  # would have settled but for a leg beyond a limit
     times: Array  # [s], settling time of the image error; NaN: none
-    excess: list[LimitUse | None]  # of the limit that is exceeded most; None: none is, or there was no run
+    beyond: list[LimitUse | None]  # the limit that is exceeded most, where a run fails for the legs' limits alone
     ran: Mask  # False: refused by the core
 
 
@@ -203,10 +202,9 @@ class _Trial:
         """
         base = self.scenario if scenario is None else scenario
         count = max(len(values) for values in variations.values())
-        in_image, stopped = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
-        ran = np.ones(count, dtype=bool)
+        settled, ran = np.zeros(count, dtype=bool), np.ones(count, dtype=bool)
         times = np.full(count, np.nan)
-        excess: list[LimitUse | None] = [None] * count
+        beyond: list[LimitUse | None] = [None] * count
         while ran.any():
             rows = np.flatnonzero(ran)
             try:
@@ -220,14 +218,15 @@ class _Trial:
                 continue
             self.runs += len(rows)
             times[rows] = batch.metrics["settling_time"]
-            in_image[rows] = (batch.outcome == "completed") & np.isfinite(times[rows])
-            stopped[rows] = batch.outcome == "leg_limit"
+            in_image = (batch.outcome == "completed") & np.isfinite(times[rows])
             for k, row in enumerate(rows):
-                use = most_used(base, {name: float(values[k]) for name, values in batch.metrics.items()})
-                excess[row] = use if stopped[row] or use.share > 1.0 else None
+                use = most_used(base, metrics_of(batch, k))
+                if batch.outcome[k] == "leg_limit" or (in_image[k] and use.share > 1.0):
+                    beyond[row] = use
+                else:
+                    settled[row] = in_image[k]
             break
-        within = np.array([one is None for one in excess])
-        return _Ends(in_image & within, (in_image & ~within) | stopped, times, excess, ran)
+        return _Ends(settled, times, beyond, ran)
 
 
 def _whole(duration: float, step: float) -> float:
@@ -260,9 +259,8 @@ def _directions(scene: Scene, trial: _Trial) -> tuple[Direction, ...]:
                 ways[i] = replace(way, largest=min(way.largest, size), limited_by="core")
                 continue
             way.tried[size] = bool(ends.settled[k])
-            excess = ends.excess[k]
-            if ends.only_limits[k] and excess is not None:
-                way.beyond[size] = excess
+            if (use := ends.beyond[k]) is not None:
+                way.beyond[size] = use
             if ends.settled[k]:
                 way.settling[size] = float(ends.times[k])
 
@@ -389,9 +387,8 @@ def _times(base: Scenario, what: str, trial: _Trial) -> tuple[Tried, dict[float,
             for k, tick in enumerate(new):
                 if ends.ran[k]:
                     tried[tick] = bool(ends.settled[k])
-                excess = ends.excess[k]
-                if ends.only_limits[k] and excess is not None:
-                    beyond[tick * step] = excess
+                if (use := ends.beyond[k]) is not None:
+                    beyond[tick * step] = use
 
     # A run of less than two periods shows nothing of them, and one shorter than the latency has no image.
     longest = base.simulation.duration / (2.0 if what == "period" else 1.0)

@@ -169,10 +169,10 @@ def _items(found: LargestStart) -> list[Item]:
             ),
             (Column("runs", "", "d"), lambda d: len(d.tried)),
         ],
-        f"Settles: the run of {found.duration:g} s completes, stays within {found.band:g} px for its last "
+        note=f"Settles: the run of {found.duration:g} s completes, stays within {found.band:g} px for its last "
         f"{found.dwell:g} s and keeps all legs within their limits; one that is only slow fails, and one that "
         f"starts within {found.band:g} px needs no motion. The border lies between two sizes that were run.",
-        PAGE,
+        page=PAGE,
     )
     items: list[Item] = [table]
     if found.timings:
@@ -189,8 +189,8 @@ def _items(found: LargestStart) -> list[Item]:
                     (Column("limited by"), lambda t: None if t.limited_by is None else _LIMITING[t.limited_by]),
                     (Column("runs", "", "d"), lambda t: len(t.tried)),
                 ],
-                "One seed where there is noise.",
-                PAGE,
+                note="One seed where there is noise.",
+                page=PAGE,
             )
         )
     lines = []
