@@ -20,6 +20,7 @@ from hexservo.findings.analysis.loop_of_scenario import (
 )
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.laws import SMOOTH_KINDS
 from hexservo.scenario.scenario import Scenario, require_scenario
 
 if TYPE_CHECKING:
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
 _AXES = ("x", "y", "z", "rx", "ry", "rz")
 _WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
 _INPUTS = (*(f"wrench_{axis}" for axis in _WRENCH), *(f"base_acceleration_{axis}" for axis in "xyz"))
-_SMOOTH = ("tanh", "saturation")  # kinds of the switching term that have a slope at rest
 
 
 def control(scenario: Scenario, of: Literal["loop", "plant"] = "loop", *, sampled: bool | None = None) -> StateSpace:
@@ -135,7 +135,7 @@ def _held(a: Array, b: Array, tick: float) -> tuple[Array, Array]:
 
 
 def _chosen(at_rest: LoopAtRest) -> SampledLoop:
-    smooth = at_rest.scenario.controller.switching.kind in _SMOOTH
+    smooth = at_rest.scenario.controller.switching.kind in SMOOTH_KINDS
     loop = at_rest.smooth if smooth and at_rest.smooth is not None else at_rest.free
     return replace(loop, disturbance=_disturbance(loop.acceleration))
 

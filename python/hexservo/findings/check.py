@@ -24,7 +24,7 @@ from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.blocks import Robot, preset_values
 from hexservo.scenario.fitted import auto_of, chosen_keys, fitted_keys, gains_written, idle_gains
 from hexservo.scenario.keys import default_of, keys_below, value_at
-from hexservo.scenario.laws import ALL_LAWS, LAWS, Controller, laws_with
+from hexservo.scenario.laws import ALL_LAWS, LAWS, SMOOTH_KINDS, Controller, laws_with
 from hexservo.scenario.motion import Road, moves
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.pixels import on_pinhole, points_outside
@@ -310,7 +310,7 @@ def _switches(scenario: Scenario) -> bool:
 
 
 def _has_slope(scenario: Scenario) -> bool:
-    return _switches(scenario) and scenario.controller.switching.kind in ("tanh", "saturation")
+    return _switches(scenario) and scenario.controller.switching.kind in SMOOTH_KINDS
 
 
 def _uses_exposures(scenario: Scenario) -> bool:

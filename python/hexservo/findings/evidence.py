@@ -6,9 +6,9 @@ The command line prints these and the report draws them.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -19,6 +19,8 @@ Cell: TypeAlias = str | float | int | bool | None
 
 Verdict: TypeAlias = Literal["good", "warning", "bad", "open"]
 """Verdict of a section; open: not applicable."""
+
+_Thing = TypeVar("_Thing")
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,20 @@ class Table:
     rows: Sequence[Sequence[Cell]]
     note: str = ""  # one or two sentences below it
     page: str = ""  # page that explains it, such as "docs/analysis/conditioning.md"
+
+    @classmethod
+    def of(
+        cls,
+        title: str,
+        things: Iterable[_Thing],
+        columns: Sequence[tuple[Column, Callable[[_Thing], Cell]]],
+        *,
+        note: str = "",
+        page: str,
+    ) -> Table:
+        """Return a table with a row for each thing: beside its head, a column has the function that gives its cell."""
+        rows = [[cell(thing) for _, cell in columns] for thing in things]
+        return cls(title, [column for column, _ in columns], rows, note, page)
 
     def __post_init__(self) -> None:
         """Refuse rows of the wrong length.

@@ -213,6 +213,11 @@ def whole(batch: BatchResult) -> BatchResult:
     return batch
 
 
+def metrics_of(batch: BatchResult, row: int) -> dict[str, float]:
+    """Return the metrics of one run of a batch, by name."""
+    return {name: float(values[row]) for name, values in batch.metrics.items()}
+
+
 def simulate_batch(
     scenario: Scenario,
     variations: Mapping[str, ArrayLike],

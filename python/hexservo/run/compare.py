@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hexservo.run.batch import simulate_batch, thread_count
+from hexservo.run.batch import metrics_of, simulate_batch, thread_count
 from hexservo.run.comparison import Comparison, ComparisonRow
 from hexservo.run.custom_controller import OwnController
 from hexservo.run.metrics import metrics
@@ -248,7 +248,7 @@ def _run(
                 str(batch.outcome[number]),
                 batch.detail(number),
                 float(batch.end_time[number]),
-                {name: float(values[number]) for name, values in batch.metrics.items()},
+                metrics_of(batch, number),
                 batch.time[kept],
                 errors[number][kept],
             ),

@@ -26,6 +26,7 @@ from hexservo.scenario.rules import (
 SwitchingKind: TypeAlias = Literal["sign", "tanh", "saturation", "implicit", "implicit_coupled"]
 JacobianPoint: TypeAlias = Literal["current", "desired", "mean"]
 ALL_LAWS: tuple[str, ...] = tuple(_core.LAW_TRAITS)
+SMOOTH_KINDS: tuple[SwitchingKind, ...] = ("tanh", "saturation")  # of the switching term, with a slope at rest
 # of any machine; the others give where legs shall go, and so need a machine that takes positions
 LAWS: tuple[str, ...] = tuple(law for law, traits in _core.LAW_TRAITS.items() if traits.output != "pose")
 GENERAL_LAW = "composite"  # what a new machine begins with: it integrates, and its prior bounds the drift

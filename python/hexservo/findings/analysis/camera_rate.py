@@ -11,7 +11,6 @@ from typing import Literal
 import numpy as np
 
 from hexservo.findings.analysis.camera_margins import (
-    Border,
     Margins,
     crossing,
     gain_border,
@@ -36,6 +35,7 @@ from hexservo.findings.analysis.loop_of_scenario import (
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.laws import SMOOTH_KINDS
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.yaml import ScenarioError
 
@@ -111,7 +111,7 @@ class CameraRate(Part):
     @property
     def acting(self) -> Margins | None:
         """Margins of the loop that small motions meet: with the slope of K_v only where the scenario has one."""
-        smoothing = self.scenario.controller.switching.kind in ("tanh", "saturation")
+        smoothing = self.scenario.controller.switching.kind in SMOOTH_KINDS
         return self.smooth if smoothing and self.smooth is not None else self.free
 
 
@@ -238,8 +238,12 @@ def analyse(scenario: Scenario, *, borders: bool = True) -> CameraRate:
     if not free.perfect:  # no border that a camera could have: see `_section`
         return result
     periods, latencies, radii = radius_map(at_rest.free, clock, free)
-    limits = {key: _limit_border(at_rest, clock, key, getattr(acting, key)) for key in _KEYS} if acting.stable else {}
-    return replace(result, periods=periods, latencies=latencies, radii=radii, runs=_check(at_rest, free), limits=limits)
+    result = replace(result, periods=periods, latencies=latencies, radii=radii, runs=_check(at_rest, free))
+    if not acting.stable:
+        return result
+    # up to the stability limit of the linear loop
+    largest = {key: getattr(acting, key).stable or getattr(clock, key) for key in _KEYS}
+    return replace(result, limits={key: limit_border(at_rest.task, key, clock, largest[key]) for key in _KEYS})
 
 
 def _start_runs(at_rest: LoopAtRest) -> tuple[StartRun, ...]:
@@ -255,8 +259,3 @@ def _learned(at_rest: LoopAtRest, clock: Clock, radius: float, smooth: bool) -> 
         return None
     weights = learned_weights(at_rest.task)
     return None if weights is None else loop_margins(loop_with_weights(at_rest, weights, smooth=smooth), clock, radius)
-
-
-def _limit_border(at_rest: LoopAtRest, clock: Clock, key: Literal["period", "latency"], linear: Border) -> LimitBorder:
-    """Vary period or latency up to the stability limit of the linear loop."""
-    return limit_border(at_rest.task, key, clock, linear.stable or getattr(clock, key))

@@ -13,7 +13,7 @@ from hexservo.findings.analysis.linear_loop import Clock
 from hexservo.findings.analysis.loop_of_scenario import OFFSET as START
 from hexservo.findings.analysis.loop_of_scenario import LoopAtRest, proportional_gains
 from hexservo.findings.analysis.scene import scene_of
-from hexservo.findings.analysis.words import number
+from hexservo.findings.analysis.words import AXES, finite, number
 from hexservo.findings.evidence import Cell, Column, HeatMap, Line, Section, Table, Verdict, picked
 from hexservo.run.leg_limits import LimitUse, limits_of_motion
 from hexservo.scenario.leg_units import leg_units
@@ -24,7 +24,6 @@ ENOUGH_GAIN = 2.0
 """Factor on the gain below which the margin counts as small: 6 dB."""
 
 _TITLE = "How fast must the camera be?"
-_AXES = ("along x", "along y", "along z", "about x", "about y", "about z")
 
 
 def section(result: CameraRate) -> Section:
@@ -146,9 +145,8 @@ def _sentences(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Marg
             f"{acting.resting} modes are neutral with any camera, and are excluded: they have no stiffness, "
             "or fuzzy systems driven by the rate alone (drive 0) make them a spring towards the start."
         )
-    found = [*_about_starts(result, acting), *found] if result.stable != acting.stable else found
-    if result.stable == acting.stable:
-        found.extend(_about_starts(result, acting))
+    starts = _about_starts(result, acting)
+    found = [*found, *starts] if result.stable == acting.stable else [*starts, *found]
     found.extend(_about_learned(result, tick))
     found.extend(_about_kv(result, free, tick))
     found.extend(_about_runs(result))
@@ -159,7 +157,7 @@ def _sentences(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Marg
 def _which(margin: Margins) -> str:
     if margin.motion is None:
         return ""
-    return f" {_mode(margin.border_frequency)}, mostly {_AXES[int(np.argmax(margin.motion))]}"
+    return f" {_mode(margin.border_frequency)}, mostly {AXES[int(np.argmax(margin.motion))]}"
 
 
 def _about_kv(result: CameraRate, free: Margins, tick: float) -> list[str]:
@@ -269,7 +267,6 @@ def _about_runs(result: CameraRate) -> list[str]:
     if not result.runs:
         return ["There was no stability limit to check by simulation."]
     inside, outside = result.runs
-    agree = inside.agrees and outside.agrees
     name = {"gain": "gain", "latency": "latency", "period": "camera period"}[inside.key]
     offsets = " and ".join(dict.fromkeys(f"{run.offset:g} px" for run in result.runs))
     text = (
@@ -277,7 +274,7 @@ def _about_runs(result: CameraRate) -> list[str]:
         f"predicted {inside.predicted:+.3g} 1/s, measured {inside.measured:+.3g} 1/s; outside "
         f"{outside.predicted:+.3g} 1/s, measured {outside.measured:+.3g} 1/s."
     )
-    if not agree:
+    if not (inside.agrees and outside.agrees):
         return [text + " They disagree: the linear loop does not describe these runs."]
     if any(run.offset < START for run in result.runs):
         text += f" From {START:g} px a run behaves differently: this far from its goal the loop is not linear."
@@ -330,28 +327,21 @@ def _number(border: Border, tick: float, less: int = 0) -> Cell:
 
 def _items(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins) -> list[Table | HeatMap]:
     tick = at_rest.scenario.simulation.step
-    both = [free] + ([result.smooth] if result.smooth is not None else [])
-    heads = ["K_v = 0"] + (["slope k_v/width"] if result.smooth is not None else [])
-    if result.learned is not None:
-        both.append(result.learned)
-        heads.append("learned weights")
+    all_three = {"K_v = 0": free, "slope k_v/width": result.smooth, "learned weights": result.learned}
+    columns = {head: margins for head, margins in all_three.items() if margins is not None}
 
     def row(name: str, unit: str, of: Callable[[Margins], Cell]) -> list[Cell]:
-        return [name, unit, *(of(one) for one in both)]
+        return [name, unit, *(of(margins) for margins in columns.values())]
 
     rows = [
         row("spectral radius over one period", "", lambda m: m.radius),
         row("growth of the slowest mode", "1/s", lambda m: m.rate),
         row("largest stable period at this latency", "ms", lambda m: _number(m.period, tick)),
         row("largest stable latency at this period", "ms", lambda m: _number(m.latency, tick)),
-        row(
-            "delay margin",
-            "ms",
-            lambda m: _number(m.latency, tick, clock.latency) if m.stable else None,
-        ),
+        row("delay margin", "ms", lambda m: _number(m.latency, tick, clock.latency) if m.stable else None),
         row("gain factor at the limit, upwards", "", lambda m: m.gain[1]),
         row("gain factor at the limit, downwards", "", lambda m: m.gain[0]),
-        row("frequency of the mode at the limit", "Hz", lambda m: _finite(m.border_frequency)),
+        row("frequency of the mode at the limit", "Hz", lambda m: finite(m.border_frequency)),
         row("modes that drift with any camera", "", lambda m: m.drifts),
         row("neutral modes, excluded", "", lambda m: m.resting),
     ]
@@ -359,7 +349,7 @@ def _items(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins)
     items: list[Table | HeatMap] = [
         Table(
             "Margins of the linear sampled loop at the goal",
-            [Column("quantity"), Column("unit"), *(Column(head) for head in heads)],
+            [Column("quantity"), Column("unit"), *(Column(head) for head in columns)],
             rows,
             note=f"Periods and latencies are whole ticks, searched up to {longest}; gain factors between "
             f"{1 / LARGEST_FACTOR:g} and {LARGEST_FACTOR:g}. An empty cell: there is none. All columns are at the "
@@ -390,29 +380,22 @@ def _items(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins)
         )
     if result.runs:
         items.append(
-            Table(
+            Table.of(
                 "Runs near the stability limit",
+                result.runs,
                 [
-                    Column("varied"),
-                    Column("value", "1 or s"),
-                    Column("start", "px"),
-                    Column("predicted growth", "1/s", "+.3g"),
-                    Column("measured growth", "1/s", "+.3g"),
-                    Column("agrees"),
-                ],
-                [
-                    [run.key, run.value, run.offset, run.predicted, _finite(run.measured), run.agrees]
-                    for run in result.runs
+                    (Column("varied"), lambda run: run.key),
+                    (Column("value", "1 or s"), lambda run: run.value),
+                    (Column("start", "px"), lambda run: run.offset),
+                    (Column("predicted growth", "1/s", "+.3g"), lambda run: run.predicted),
+                    (Column("measured growth", "1/s", "+.3g"), lambda run: finite(run.measured)),
+                    (Column("agrees"), lambda run: run.agrees),
                 ],
                 note="The goal image is that from home; no noise, K_v = 0. An empty growth: the run ended early.",
                 page=PAGE,
             )
         )
     return items
-
-
-def _finite(value: float) -> float | None:
-    return value if np.isfinite(value) else None
 
 
 def _data(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins) -> dict[str, Any]:
@@ -447,18 +430,13 @@ def _data(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins) 
         "latency": clock.latency * tick,
         "as_if_sampled": at_rest.as_if_sampled,
         "residual": at_rest.rest.residual,
-        "position": at_rest.rest.view.pose.position,
-        "quaternion": at_rest.rest.view.pose.quaternion,
+        **picked(at_rest.rest.view.pose, "position quaternion"),
         "without_kv": numbers(free),
         "with_slope": None if result.smooth is None else {"slope": at_rest.slope, **numbers(result.smooth)},
         "with_learned_weights": None if result.learned is None else numbers(result.learned),
         "settles": result.settles,
         "starts": [
-            {
-                **picked(run, "offset duration ending"),
-                "peak_error": run.peak,
-                "leg_travel": run.travel,
-            }
+            {**picked(run, "offset duration ending"), "peak_error": run.peak, "leg_travel": run.travel}
             for run in result.starts
         ],
         "limits": {
@@ -467,16 +445,13 @@ def _data(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins) 
                 "beyond": None if border.beyond is None else border.beyond * tick,
                 "largest": border.largest * tick,
                 "limit": border.use.limit.kind,
-                "share": _finite(border.use.share),
+                "share": finite(border.use.share),
                 "own_limit": border.own.limit.kind,
-                "own_share": _finite(border.own.share),
+                "own_share": finite(border.own.share),
             }
             for key, border in result.limits.items()
         },
         "acting": "with_slope" if result.acting is result.smooth and result.smooth is not None else "without_kv",
         "map": {"periods": result.periods, "latencies": result.latencies, "spectral_radius": result.radii},
-        "runs": [
-            {"varied": r.key, "value": r.value, "offset": r.offset, "predicted": r.predicted, "measured": r.measured}
-            for r in result.runs
-        ],
+        "runs": [{"varied": run.key, **picked(run, "value offset predicted measured")} for run in result.runs],
     }

@@ -9,8 +9,9 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 
 from hexservo.findings.analysis.linear_loop import Clock
-from hexservo.findings.analysis.scene import scene_of
-from hexservo.run.batch import simulate_batch, whole
+from hexservo.findings.analysis.scene import ALL_AXES, scene_of
+from hexservo.findings.analysis.tried import ROUNDS, bordering, quarters
+from hexservo.run.batch import metrics_of, simulate_batch, whole
 from hexservo.run.leg_limits import LimitUse, most_used
 from hexservo.run.metrics import metrics
 from hexservo.run.result import Result
@@ -26,7 +27,6 @@ _TICKS = 50_000  # of a run, at most
 _PARTS = 10  # of a run, whose motions are compared
 _QUIET, _MOVING = 0.05, 0.5  # of the largest motion: the last part has less at rest, and more where it goes on
 _GRID = 12  # clocks in the first round of a search for the stroke's border
-_ROUNDS = 2  # of the search between two of them
 
 Ending: TypeAlias = Literal["settles", "goes on", "limit", "ended", "open"]
 
@@ -73,9 +73,7 @@ def start_runs(home: Scenario) -> tuple[StartRun, ...]:
     """
     scene = scene_of(home)
     view = scene.view(scene.home)
-    shift = view.jacobian @ (np.array([1.0, -0.8, 0.6, 0.9, 0.7, -1.0]) * scene.unit)
-    goals = [view.features + shift * offset / np.abs(shift).max() for offset in STARTS]
-    return tuple(_start_run(home, offset, goal) for offset, goal in zip(STARTS, goals, strict=True))
+    return tuple(_start_run(home, offset, view.after(ALL_AXES * scene.unit, offset)) for offset in STARTS)
 
 
 def _start_run(home: Scenario, offset: float, goal: Array) -> StartRun:
@@ -148,24 +146,17 @@ def limit_border(task: Scenario, key: Literal["period", "latency"], clock: Clock
         values = np.array([value * tick for value in new])
         batch = whole(simulate_batch(task, {f"camera.{key}": values}, log="metrics"))
         for row, value in enumerate(new):
-            use = most_used(task, {name: float(values[row]) for name, values in batch.metrics.items()})
+            use = most_used(task, metrics_of(batch, row))
             # A run that ends early has no number of the legs, but the task was not done: the camera is too slow.
             done = batch.outcome[row] in ("completed", "leg_limit")
             uses[value] = use if done else replace(use, peak=np.inf)
 
-    def first_beyond() -> int | None:
-        return min((value for value, use in uses.items() if not use.share <= 1.0), default=None)
-
-    def last_within(beyond: int | None) -> int | None:
-        return max((value for value in uses if beyond is None or value < beyond), default=None)
+    def within() -> dict[int, bool]:
+        return {value: use.share <= 1.0 for value, use in uses.items()}
 
     run([own, *(round(value) for value in np.geomspace(max(own, 1), max(largest, own, 1), _GRID))])
-    for _ in range(_ROUNDS):
-        beyond = first_beyond()
-        within = last_within(beyond)
-        if beyond is None or within is None:
-            break
-        run([within + round(part * (beyond - within)) for part in (0.25, 0.5, 0.75)])
-    beyond = first_beyond()
+    for _ in range(ROUNDS):
+        run(quarters(within()))
+    last, beyond = bordering(within())
     top = max(uses)
-    return LimitBorder(last_within(beyond), beyond, top, uses[top if beyond is None else beyond], uses[own])
+    return LimitBorder(last, beyond, top, uses[top if beyond is None else beyond], uses[own])

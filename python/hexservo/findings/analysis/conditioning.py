@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hexservo.findings.analysis.goal import Goals, find_goals
-from hexservo.findings.analysis.placement import Placement, placements
+from hexservo.findings.analysis.placement import Placement, observability, placements
 from hexservo.findings.analysis.poses import without_sign
 from hexservo.findings.analysis.scene import Scene, View, scene_of
 from hexservo.findings.part import Part
@@ -109,17 +109,14 @@ def sight(place: str, view: View, length: float, scene: Scene) -> Sight:
     """
     jacobian = scene.of_noise(view.features, view.jacobian)
     units = np.repeat([1.0, length], 3)
-    _, scaled_values, rows = np.linalg.svd(jacobian / units, full_matrices=False)
-    rows = without_sign(rows)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        sigma = np.sqrt(((rows / scaled_values[:, None]) ** 2).sum(axis=0)) / units
+    scaled_values, directions, sigma = observability(jacobian / units, length)
     return Sight(
         place=place,
         view=view,
         length=length,
         values=np.asarray(np.linalg.svd(jacobian, compute_uv=False), dtype=float),
         scaled_values=scaled_values,
-        directions=rows / units,
+        directions=without_sign(directions) / units,
         pose_sigma=sigma,
     )
 

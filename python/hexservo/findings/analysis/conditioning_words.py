@@ -10,17 +10,24 @@ from hexservo.findings.analysis.placement import (
     DEPTH_SHARE,
     Placement,
     corner_angles,
+    farthest,
     image_radius,
     in_circle,
     place,
     shape_name,
 )
 from hexservo.findings.analysis.words import displacement_words, motion_in_words, number, numbers
-from hexservo.findings.evidence import Cell, Column, Curves, Line, Section, Table, Verdict
+from hexservo.findings.evidence import Cell, Column, Curves, Line, Section, Table, Verdict, picked
 from hexservo.scenario.arrays import Array
 
 PAGE = "docs/analysis/conditioning.md"
 _GRIP = 0.1  # of the stroke: a pose that is less certain than this, at the camera's noise, is worth a warning
+
+_PER_PIXEL = (
+    *(Column(axis, "mm/px", ".3g") for axis in "xyz"),
+    *(Column(f"about {axis}", "mrad/px", ".3g") for axis in "xyz"),
+    Column("worst direction", "mm/px", ".3g"),
+)
 
 
 def section(found: Conditioning) -> Section:
@@ -116,7 +123,7 @@ def _curves(found: Conditioning) -> Curves:
     """Draw the worst direction over the size of a square, in a plane and with one corner off it."""
     placed = found.placements[0]
     length = float(np.abs(placed.depth).mean())
-    own = float(np.hypot(*placed.features.reshape(-1, 2).T).max())
+    own = farthest(placed.features)
     radii = np.geomspace(min(20.0, own), max(image_radius(found.scene), own), 30)
     count = len(placed.depth)
     plane = np.full(count, -length)
@@ -136,12 +143,7 @@ def _curves(found: Conditioning) -> Curves:
             Line(f"{shape_name(count)} in a plane", radii, worst(plane)),
             Line(f"one corner {DEPTH_SHARE:.0%} of the depth nearer", radii, worst(near), "dashed"),
             Line("as they are", np.array([own]), np.array([1e3 * placed.worst]), "points"),
-            Line(
-                "best found",
-                np.array([float(np.hypot(*best.features.reshape(-1, 2).T).max())]),
-                np.array([1e3 * best.worst]),
-                "points",
-            ),
+            Line("best found", np.array([farthest(best.features)]), np.array([1e3 * best.worst]), "points"),
         ),
         x_log=True,
         y_log=True,
@@ -158,13 +160,10 @@ def _data(found: Conditioning, sights: list[Sight]) -> dict[str, object]:
             sight.place.replace(" ", "_"): {
                 "singular_values": sight.values,
                 "scaled_singular_values": sight.scaled_values,
-                "directions": sight.directions,
-                "condition": sight.condition,
-                "scaled_condition": sight.scaled_condition,
+                **picked(sight, "directions condition scaled_condition"),
                 "pose_sigma_per_px": sight.pose_sigma,
                 "worst_per_px": sight.worst,
-                "position": sight.view.pose.position,
-                "quaternion": sight.view.pose.quaternion,
+                **picked(sight.view.pose, "position quaternion"),
             }
             for sight in sights
         },
@@ -175,9 +174,7 @@ def _data(found: Conditioning, sights: list[Sight]) -> dict[str, object]:
         "image_radius": image_radius(found.scene),
         "placements": [
             {
-                "name": placement.name,
-                "features": placement.features,
-                "depth": placement.depth,
+                **picked(placement, "name features depth"),
                 "pose_sigma_per_px": placement.pose_sigma,
                 "worst_per_px": placement.worst,
             }
@@ -197,18 +194,10 @@ def _sights_table(sights: list[Sight]) -> Table:
             Column("at"),
             Column("condition number", format=".0f"),
             Column("with rotations scaled by depth", format=".0f"),
-            *(Column(axis, "mm/px", ".3g") for axis in "xyz"),
-            *(Column(f"about {axis}", "mrad/px", ".3g") for axis in "xyz"),
-            Column("worst direction", "mm/px", ".3g"),
+            *_PER_PIXEL,
         ),
         rows=[
-            (
-                sight.place,
-                sight.condition,
-                sight.scaled_condition,
-                *(1e3 * sight.pose_sigma),
-                1e3 * sight.worst,
-            )
+            (sight.place, sight.condition, sight.scaled_condition, *(1e3 * sight.pose_sigma), 1e3 * sight.worst)
             for sight in sights
         ],
         note="Least squares from one image, 1 sigma of each axis in the base frame, linearised; a value larger than "
@@ -249,9 +238,7 @@ def _placement_table(placements: tuple[Placement, ...]) -> Table:
         title="Other placements of the points, from home",
         columns=(
             Column("points"),
-            *(Column(axis, "mm/px", ".3g") for axis in "xyz"),
-            *(Column(f"about {axis}", "mrad/px", ".3g") for axis in "xyz"),
-            Column("worst direction", "mm/px", ".3g"),
+            *_PER_PIXEL,
             Column("better by", "times", ".3g"),
         ),
         rows=[

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from hexservo.findings.analysis.drift import GRID, LARGEST, SIZES, Drift, Pattern, Size
-from hexservo.findings.analysis.words import direction_words, open_section
-from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict, picked
+from hexservo.findings.analysis.words import direction_words, finite, open_section
+from hexservo.findings.evidence import Column, Curves, Item, Line, Section, Table, Verdict, picked
 
 PAGE = "docs/analysis/drift.md"
 
@@ -83,9 +83,8 @@ def _sentences(found: Drift) -> list[str]:
 def _end_words(found: Drift, pattern: Pattern) -> str:
     if pattern.end is None:
         return ""
-    away = 1e3 * np.linalg.norm(pattern.end[:3])
     text = (
-        f" and {pattern.end_time_constant:.3g} s at its end, {away:.3g} mm from home, with "
+        f" and {pattern.end_time_constant:.3g} s at its end, {_end_from_home(pattern):.3g} mm from home, with "
         f"{pattern.end_error:.3g} px and {1e3 * pattern.end_travel:.3g} {found.leg_unit} of leg travel"
     )
     if not _beyond(found, pattern):
@@ -95,68 +94,53 @@ def _end_words(found: Drift, pattern: Pattern) -> str:
     return f"{text}, beyond a joint limit"
 
 
+def _end_from_home(pattern: Pattern) -> float | None:
+    """Return how far the end of a drift is from home [mm]; None without one."""
+    return None if pattern.end is None else 1e3 * float(np.linalg.norm(pattern.end[:3]))
+
+
 def _items(found: Drift) -> list[Item]:
     chosen = _chosen(found)
-    rows: list[list[Cell]] = [
-        [
-            p.signs,
-            p.start,
-            _number(p.goal),
-            _number(p.time_constant),
-            _number(p.end_time_constant),
-            None if p.end is None else 1e3 * float(np.linalg.norm(p.end[:3])),
-            _number(p.end_error),
-            _number(1e3 * p.end_travel),
-            direction_words(p.direction, found.depth),
-        ]
-        for p in sorted(chosen.patterns, key=lambda pattern: pattern.rank)
-    ]
-    columns = [
-        Column("signs"),
-        Column("smallest eigenvalue, start", "1", ".3g"),
-        Column("smallest eigenvalue, goal", "1", ".3g"),
-        Column("time constant, start", "s", ".3g"),
-        Column("time constant, end", "s", ".3g"),
-        Column("end of the drift, from home", "mm", ".3g"),
-        Column("image error there", "px", ".2g"),
-        Column("leg travel there", found.leg_unit, ".3g"),
-        Column("direction"),
-    ]
-    sizes: list[list[Cell]] = [
-        [
-            100 * s.size,
-            s.worst.signs,
-            s.worst.smallest,
-            s.negative[0],
-            _count(s.negative[1], found.has_goal),
-            s.negative_inverse_only[0],
-            _count(s.negative_inverse_only[1], found.has_goal),
-            s.negative_image_only[0],
-            _count(s.negative_image_only[1], found.has_goal),
-        ]
-        for s in found.sizes
-    ]
-    size_columns = [
-        Column("depth errors", "%", ".3g"),
-        Column("worst signs"),
-        Column("its smallest eigenvalue", "1", ".3g"),
-        Column("negative, start", "of 14", "d"),
-        Column("negative, goal", "of 14", "d"),
-        Column("prior in the inverse only, start", "of 14", "d"),
-        Column("prior in the inverse only, goal", "of 14", "d"),
-        Column("no prior, start", "of 14", "d"),
-        Column("no prior, goal", "of 14", "d"),
-    ]
+
+    def at_goal(count: tuple[int, int]) -> int | None:
+        return count[1] if found.has_goal else None
+
     items: list[Item] = [
-        Table(
+        Table.of(
             f"Sign patterns of depth errors of {100 * chosen.size:.3g} %",
-            columns,
-            rows,
-            "A negative time constant is that of growth. The end is where the pose error is zero, by Newton's "
+            sorted(chosen.patterns, key=lambda pattern: pattern.rank),
+            [
+                (Column("signs"), lambda p: p.signs),
+                (Column("smallest eigenvalue, start", "1", ".3g"), lambda p: p.start),
+                (Column("smallest eigenvalue, goal", "1", ".3g"), lambda p: finite(p.goal)),
+                (Column("time constant, start", "s", ".3g"), lambda p: finite(p.time_constant)),
+                (Column("time constant, end", "s", ".3g"), lambda p: finite(p.end_time_constant)),
+                (Column("end of the drift, from home", "mm", ".3g"), _end_from_home),
+                (Column("image error there", "px", ".2g"), lambda p: finite(p.end_error)),
+                (Column("leg travel there", found.leg_unit, ".3g"), lambda p: finite(1e3 * p.end_travel)),
+                (Column("direction"), lambda p: direction_words(p.direction, found.depth)),
+            ],
+            note="A negative time constant is that of growth. The end is where the pose error is zero, by Newton's "
             "method on the core's law, without a gravity error.",
-            PAGE,
+            page=PAGE,
         ),
-        Table("Sizes of depth errors", size_columns, sizes, "Unequal signs only: 14 of the 16 patterns.", PAGE),
+        Table.of(
+            "Sizes of depth errors",
+            found.sizes,
+            [
+                (Column("depth errors", "%", ".3g"), lambda s: 100 * s.size),
+                (Column("worst signs"), lambda s: s.worst.signs),
+                (Column("its smallest eigenvalue", "1", ".3g"), lambda s: s.worst.smallest),
+                (Column("negative, start", "of 14", "d"), lambda s: s.negative[0]),
+                (Column("negative, goal", "of 14", "d"), lambda s: at_goal(s.negative)),
+                (Column("prior in the inverse only, start", "of 14", "d"), lambda s: s.negative_inverse_only[0]),
+                (Column("prior in the inverse only, goal", "of 14", "d"), lambda s: at_goal(s.negative_inverse_only)),
+                (Column("no prior, start", "of 14", "d"), lambda s: s.negative_image_only[0]),
+                (Column("no prior, goal", "of 14", "d"), lambda s: at_goal(s.negative_image_only)),
+            ],
+            note="Unequal signs only: 14 of the 16 patterns.",
+            page=PAGE,
+        ),
     ]
     if found.grid is not None and found.curves:
         lines = [
@@ -187,8 +171,7 @@ def _data(found: Drift) -> dict[str, Any]:
             "smallest_eigenvalue_goal": p.goal,
             **picked(p, "direction rate time_constant"),
             "end_displacement": p.end,
-            "end_rate": p.end_rate,
-            "end_error": p.end_error,
+            **picked(p, "end_rate end_error"),
             "end_leg_travel": p.end_travel,
         }
 
@@ -207,8 +190,7 @@ def _data(found: Drift) -> dict[str, Any]:
             }
             for s in found.sizes
         ],
-        "limit_start": found.limit_start,
-        "limit_goal": found.limit_goal,
+        **picked(found, "limit_start limit_goal"),
         "largest_searched": LARGEST,
     }
 
@@ -223,11 +205,3 @@ def _chosen(found: Drift) -> Size:
 def _beyond(found: Drift, pattern: Pattern) -> bool:
     """Return whether a drift leaves the legs' limits. Without an expected prior it has no end, and none is searched."""
     return found.has_prior if pattern.end is None else pattern.end_left < 0.0
-
-
-def _number(value: float) -> float | None:
-    return value if np.isfinite(value) else None
-
-
-def _count(value: int, known: bool) -> int | None:
-    return value if known else None

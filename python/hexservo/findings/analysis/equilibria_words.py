@@ -16,7 +16,7 @@ from hexservo.findings.analysis.words import (
     open_section,
     vector_words,
 )
-from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict, picked
+from hexservo.findings.evidence import Column, Curves, Item, Line, Section, Table, Verdict, picked
 from hexservo.scenario.laws import laws_with
 
 PAGE = "docs/analysis/equilibria.md"
@@ -79,8 +79,9 @@ def _sentences(result: Equilibria) -> list[str]:
         )
     elif goal.stability not in ("attracting", "oscillating"):
         words.append(
-            f"The goal itself does not attract: it is {_article(goal.stability)}, and the image part drives the "
-            f"platform away along {direction_words(goal.weakest, result.depth)}, where its eigenvalue is "
+            f"The goal itself does not attract: it is {'a saddle' if goal.stability == 'saddle' else goal.stability}, "
+            "and the image part drives the platform away along "
+            f"{direction_words(goal.weakest, result.depth)}, where its eigenvalue is "
             f"{number(goal.eigenvalues[0].real)} 1/s^2 (the largest is {number(goal.eigenvalues[-1].real)})."
         )
     elif goal.kind != "displaced goal":
@@ -131,38 +132,26 @@ def _gravity_words(result: Equilibria, goal: Equilibrium | None) -> str:
 
 
 def _items(result: Equilibria) -> list[Item]:
-    rows: list[list[Cell]] = [
+    table = Table.of(
+        "Equilibria found",
+        result.found,
         [
-            e.kind,
-            e.stability,
-            e.residual,
-            vector_words(1e3 * e.displacement[:3]),
-            vector_words(1e3 * e.displacement[3:]),
-            1e3 * float(np.abs(e.leg_travel).max()),
-            "yes" if e.reachable else "no",
-            float(e.eigenvalues[0].real),
-            e.growth,
-            e.starts,
-        ]
-        for e in result.found
-    ]
-    columns = [
-        Column("equilibrium"),
-        Column("stability"),
-        Column("image error", "px", ".3g"),
-        Column("position from home", "mm"),
-        Column("rotation vector from home", "mrad"),
-        Column("largest leg travel", result.leg_unit, ".3g"),
-        Column("reachable"),
-        Column("smallest eigenvalue", "1/s^2", ".3g"),
-        Column("slowest mode", "1/s", ".3g"),
-        Column("searches that ended here", "", "d"),
-    ]
-    note = (
-        "Eigenvalues of the stiffness over the inertia: attracting where all real parts are positive and, with "
-        "viscous damping, all modes decay. The slowest mode is that of the loop with this damping; negative decays."
+            (Column("equilibrium"), lambda e: e.kind),
+            (Column("stability"), lambda e: e.stability),
+            (Column("image error", "px", ".3g"), lambda e: e.residual),
+            (Column("position from home", "mm"), lambda e: vector_words(1e3 * e.displacement[:3])),
+            (Column("rotation vector from home", "mrad"), lambda e: vector_words(1e3 * e.displacement[3:])),
+            (Column("largest leg travel", result.leg_unit, ".3g"), lambda e: 1e3 * float(np.abs(e.leg_travel).max())),
+            (Column("reachable"), lambda e: "yes" if e.reachable else "no"),
+            (Column("smallest eigenvalue", "1/s^2", ".3g"), lambda e: float(e.eigenvalues[0].real)),
+            (Column("slowest mode", "1/s", ".3g"), lambda e: e.growth),
+            (Column("searches that ended here", "", "d"), lambda e: e.starts),
+        ],
+        note="Eigenvalues of the stiffness over the inertia: attracting where all real parts are positive and, with "
+        "viscous damping, all modes decay. The slowest mode is that of the loop with this damping; negative decays.",
+        page=PAGE,
     )
-    items: list[Item] = [Table("Equilibria found", columns, rows, note, PAGE)]
+    items: list[Item] = [table]
     if result.barrier is not None:
         items.append(
             Curves(
@@ -183,8 +172,7 @@ def _data(result: Equilibria) -> dict[str, Any]:
         "applies": True,
         **picked(result, "law starts_within starts_wider"),
         "seed": SEED,
-        "stroke": result.stroke,
-        "depth": result.depth,
+        **picked(result, "stroke depth"),
         "false_attracting_reachable": len(result.traps),
         **picked(result, "gravity_force gravity_direction gravity_stiffness"),
         "equilibria": [
@@ -198,7 +186,3 @@ def _data(result: Equilibria) -> dict[str, Any]:
             for e in result.found
         ],
     }
-
-
-def _article(word: str) -> str:
-    return {"saddle": "a saddle", "repelling": "repelling"}.get(word, word)

@@ -16,8 +16,9 @@ from hexservo.findings.analysis.goal import SHOWN, find_goals
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.reach import nearest_limit
 from hexservo.findings.analysis.scene import AT_HOME, WIDER, Scene, scene_of
+from hexservo.findings.analysis.tried import ROUNDS, bordering, quarters
 from hexservo.findings.part import Part
-from hexservo.run.batch import simulate_batch, whole
+from hexservo.run.batch import metrics_of, simulate_batch, whole
 from hexservo.run.leg_limits import LimitUse, most_used
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.laws import LAWS, laws_with
@@ -26,7 +27,6 @@ from hexservo.scenario.scenario import Scenario
 
 _SHORT, _LONG = 2.0, 10.0  # [s], of a run, and of one where the task itself needs longer
 _GRID = 8  # sizes in the first round, up to the largest that is possible
-_ROUNDS = 2  # of bisection in quarters
 _TICKS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 200, 300, 500)  # periods and latencies of the first round
 
 
@@ -85,10 +85,7 @@ class Timing:
     @property
     def settles_to(self) -> float | None:
         """Largest time [s] below which everything that was tried settles; None where the smallest already fails."""
-        good = [time for time, settled in self.tried.items() if settled]
-        failed = self.fails_at
-        low = [time for time in good if failed is None or time < failed]
-        return max(low) if low else None
+        return bordering(self.tried)[0]
 
     @property
     def fails_at(self) -> float | None:
@@ -127,9 +124,8 @@ class LargestStart(Part):
 
 def border(tried: Mapping[float, bool]) -> tuple[float, float | None]:
     """Return the largest size below the smallest that fails, and that one: (0, ...) for none, (..., None) for none."""
-    failed = min((size for size, good in tried.items() if not good), default=None)
-    good = [size for size, settled in tried.items() if settled and (failed is None or size < failed)]
-    return max(good, default=0.0), failed
+    good, failed = bordering(tried)
+    return good or 0.0, failed
 
 
 def analyse(scenario: Scenario) -> LargestStart:
@@ -172,9 +168,8 @@ class _Ends:
     """Results of variations of a scenario, one row each."""
 
     settled: Mask  # in the image, with all legs within their limits all the way
-    only_limits: Mask  # would have settled but for a leg beyond a limit
     times: Array  # [s], settling time of the image error; NaN: none
-    excess: list[LimitUse | None]  # of the limit that is exceeded most; None: none is, or there was no run
+    beyond: list[LimitUse | None]  # the limit that is exceeded most, where a run fails for the legs' limits alone
     ran: Mask  # False: refused by the core
 
 
@@ -188,22 +183,17 @@ class _Trial:
         self.longer = min(own, _whole(_LONG, step))
         self.duration = min(own, _whole(_SHORT, step))
         self.scenario = scenario.updated({**AT_HOME, "simulation.duration": self.duration})
-        self.task_settles = self._task_settles()
-        if not self.task_settles and self.duration < self.longer:
-            short, self.scenario = self.scenario, self.longest()
-            self.task_settles = self._task_settles()
-            if self.task_settles:
-                self.duration = self.longer
-            else:
-                self.scenario = short
+        self.task_settles = self._settles(self.scenario)
+        if not self.task_settles and self.duration < self.longer and self._settles(self.longest()):
+            self.task_settles, self.duration, self.scenario = True, self.longer, self.longest()
 
     def longest(self) -> Scenario:
         """Return the scenario with the longer duration."""
         return self.scenario.updated({"simulation.duration": self.longer})
 
-    def _task_settles(self) -> bool:
-        goal = np.array([self.scenario.target.desired_features])
-        return bool(self.ends({"target.desired_features": goal}).settled[0])
+    def _settles(self, task: Scenario) -> bool:
+        goal = np.array([task.target.desired_features])
+        return bool(self.ends({"target.desired_features": goal}, task).settled[0])
 
     def ends(self, variations: Mapping[str, Array], scenario: Scenario | None = None) -> _Ends:
         """Run each variation and return how it ends.
@@ -212,10 +202,9 @@ class _Trial:
         """
         base = self.scenario if scenario is None else scenario
         count = max(len(values) for values in variations.values())
-        in_image, stopped = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
-        ran = np.ones(count, dtype=bool)
+        settled, ran = np.zeros(count, dtype=bool), np.ones(count, dtype=bool)
         times = np.full(count, np.nan)
-        excess: list[LimitUse | None] = [None] * count
+        beyond: list[LimitUse | None] = [None] * count
         while ran.any():
             rows = np.flatnonzero(ran)
             try:
@@ -229,14 +218,15 @@ class _Trial:
                 continue
             self.runs += len(rows)
             times[rows] = batch.metrics["settling_time"]
-            in_image[rows] = (batch.outcome == "completed") & np.isfinite(times[rows])
-            stopped[rows] = batch.outcome == "leg_limit"
+            in_image = (batch.outcome == "completed") & np.isfinite(times[rows])
             for k, row in enumerate(rows):
-                use = most_used(base, {name: float(values[k]) for name, values in batch.metrics.items()})
-                excess[row] = use if stopped[row] or use.share > 1.0 else None
+                use = most_used(base, metrics_of(batch, k))
+                if batch.outcome[k] == "leg_limit" or (in_image[k] and use.share > 1.0):
+                    beyond[row] = use
+                else:
+                    settled[row] = in_image[k]
             break
-        within = np.array([one is None for one in excess])
-        return _Ends(in_image & within, (in_image & ~within) | stopped, times, excess, ran)
+        return _Ends(settled, times, beyond, ran)
 
 
 def _whole(duration: float, step: float) -> float:
@@ -269,9 +259,8 @@ def _directions(scene: Scene, trial: _Trial) -> tuple[Direction, ...]:
                 ways[i] = replace(way, largest=min(way.largest, size), limited_by="core")
                 continue
             way.tried[size] = bool(ends.settled[k])
-            excess = ends.excess[k]
-            if ends.only_limits[k] and excess is not None:
-                way.beyond[size] = excess
+            if (use := ends.beyond[k]) is not None:
+                way.beyond[size] = use
             if ends.settled[k]:
                 way.settling[size] = float(ends.times[k])
 
@@ -279,7 +268,7 @@ def _directions(scene: Scene, trial: _Trial) -> tuple[Direction, ...]:
         sizes = [way.largest * k / _GRID for k in range(1, _GRID + 1)]
         return [*sizes, 1.0] if way.name == "own" and way.largest >= 1.0 else sizes
 
-    def quarters(way: Direction) -> list[float]:
+    def halfway(way: Direction) -> list[float]:
         low, high = border(way.tried)
         return [] if high is None else [low + part * (high - low) for part in (0.25, 0.5, 0.75)]
 
@@ -290,8 +279,8 @@ def _directions(scene: Scene, trial: _Trial) -> tuple[Direction, ...]:
 
     run(grid)
     run(between)
-    for _ in range(_ROUNDS):
-        run(quarters)
+    for _ in range(ROUNDS):
+        run(halfway)
     later = _settles_later(scene, trial, ways)
     return tuple(
         replace(way, settles_later=settles, error=_error(scene, way)) for way, settles in zip(ways, later, strict=True)
@@ -366,11 +355,12 @@ def _timings(scenario: Scenario, trial: _Trial) -> tuple[tuple[Timing, ...], str
     """Try periods and latencies for the task itself, in the sampled loop."""
     assumed, changes = "", {}
     if scenario.simulation.mode != "sampled":
-        assumed = f"sampled every {1e3 * scenario.simulation.step:.3g} ms, "
+        assumed = f"sampled every {1e3 * scenario.simulation.step:.3g} ms"
         changes["simulation.mode"] = "sampled"
         if scenario.controller.law in laws_with("switching") and scenario.controller.switching.kind == "sign":
-            assumed = f"sampled every {1e3 * scenario.simulation.step:.3g} ms with implicit switching, "
+            assumed += " with implicit switching"
             changes["controller.switching.kind"] = "implicit"
+        assumed += ", "
     sampled = trial.scenario.updated(changes) if changes else trial.scenario
     predictions = [sampled.camera.prediction]
     if predictions == ["none"] and scenario.controller.law in LAWS:  # the others predict the target
@@ -397,18 +387,13 @@ def _times(base: Scenario, what: str, trial: _Trial) -> tuple[Tried, dict[float,
             for k, tick in enumerate(new):
                 if ends.ran[k]:
                     tried[tick] = bool(ends.settled[k])
-                excess = ends.excess[k]
-                if ends.only_limits[k] and excess is not None:
-                    beyond[tick * step] = excess
+                if (use := ends.beyond[k]) is not None:
+                    beyond[tick * step] = use
 
     # A run of less than two periods shows nothing of them, and one shorter than the latency has no image.
     longest = base.simulation.duration / (2.0 if what == "period" else 1.0)
     shown = [tick for tick in _TICKS if tick * step < longest] or [1]
     run(shown if what == "period" else [0, *shown])
-    for _ in range(_ROUNDS):
-        failed = min((tick for tick, good in tried.items() if not good), default=None)
-        if failed is None:
-            break
-        low = max((tick for tick, good in tried.items() if good and tick < failed), default=failed)
-        run([low + round(part * (failed - low)) for part in (0.25, 0.5, 0.75)])
+    for _ in range(ROUNDS):
+        run(quarters(tried))
     return {tick * step: good for tick, good in tried.items()}, beyond

@@ -8,17 +8,13 @@ from typing import Any
 import numpy as np
 
 from hexservo.findings.analysis.largest_start import Direction, LargestStart, Timing
-from hexservo.findings.analysis.words import number, open_section
-from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict, picked
+from hexservo.findings.analysis.words import finite, number, open_section
+from hexservo.findings.evidence import Column, Curves, Item, Line, Section, Table, Verdict, picked
 from hexservo.scenario.laws import LAWS
 
 PAGE = "docs/analysis/largest_start.md"
 
 
-_NAMES = {
-    "own": "the task's own",
-    **{f"{kind} {sign}{axis}": f"{kind} {sign}{axis}" for kind in ("shift", "turn") for sign in "+-" for axis in "xyz"},
-}
 _LIMITING = {
     "error": "image error",
     "stroke": "stroke of the legs",
@@ -154,76 +150,54 @@ def _timing_failure(timing: Timing) -> str:
 
 
 def _items(found: LargestStart) -> list[Item]:
-    rows: list[list[Cell]] = [
+    longer = f"settles in {found.longer:g} s" if found.longer else "settles in a longer run"
+    table = Table.of(
+        "Starting errors that settle (empirical)",
+        found.directions,
         [
-            _NAMES[d.name],
-            "none" if not d.settles_to else _amount(d, d.settles_to) if d.fails_at is None else border_words(d)[0],
-            None if np.isnan(d.error) else d.error,
-            None if d.fails_at is None else border_words(d)[1],
-            None if d.settles_later is None else "yes" if d.settles_later else "no",
-            _amount(d, d.largest),
-            d.limited_by.replace("_", " "),
-            "yes" if d.settles_again else "no",
-            None if d.beyond_limits is None else _amount(d, d.beyond_limits),
-            len(d.tried),
-        ]
-        for d in found.directions
-    ]
-    columns = [
-        Column("way from home to the goal"),
-        Column("settles up to"),
-        Column("its image error", "px", ".3g"),
-        Column("smallest that fails"),
-        Column(f"settles in {found.longer:g} s" if found.longer else "settles in a longer run"),
-        Column("largest possible"),
-        Column("limited by"),
-        Column("settles again beyond"),
-        Column("fails by the legs' limits alone from"),
-        Column("runs", "", "d"),
-    ]
-    note = (
-        f"Settles: the run of {found.duration:g} s completes, stays within {found.band:g} px for its last "
+            (Column("way from home to the goal"), _name),
+            (Column("settles up to"), _settles_to),
+            (Column("its image error", "px", ".3g"), lambda d: finite(d.error)),
+            (Column("smallest that fails"), lambda d: None if d.fails_at is None else border_words(d)[1]),
+            (Column(longer), lambda d: None if d.settles_later is None else "yes" if d.settles_later else "no"),
+            (Column("largest possible"), lambda d: _amount(d, d.largest)),
+            (Column("limited by"), lambda d: d.limited_by.replace("_", " ")),
+            (Column("settles again beyond"), lambda d: "yes" if d.settles_again else "no"),
+            (
+                Column("fails by the legs' limits alone from"),
+                lambda d: None if d.beyond_limits is None else _amount(d, d.beyond_limits),
+            ),
+            (Column("runs", "", "d"), lambda d: len(d.tried)),
+        ],
+        note=f"Settles: the run of {found.duration:g} s completes, stays within {found.band:g} px for its last "
         f"{found.dwell:g} s and keeps all legs within their limits; one that is only slow fails, and one that "
-        f"starts within {found.band:g} px needs no motion. The border lies between two sizes that were run."
+        f"starts within {found.band:g} px needs no motion. The border lies between two sizes that were run.",
+        page=PAGE,
     )
-    items: list[Item] = [Table("Starting errors that settle (empirical)", columns, rows, note, PAGE)]
+    items: list[Item] = [table]
     if found.timings:
-        timing_rows: list[list[Cell]] = [
-            [
-                t.what,
-                t.prediction,
-                1e3 * t.other,
-                None if t.settles_to is None else 1e3 * t.settles_to,
-                None if t.fails_at is None else 1e3 * t.fails_at,
-                None if t.limited_by is None else _LIMITING[t.limited_by],
-                len(t.tried),
-            ]
-            for t in found.timings
-        ]
         items.append(
-            Table(
+            Table.of(
                 "Camera times with which the task settles (empirical)",
+                found.timings,
                 [
-                    Column("time"),
-                    Column("prediction"),
-                    Column("the other one", "ms", ".4g"),
-                    Column("settles up to", "ms", ".4g"),
-                    Column("smallest that fails", "ms", ".4g"),
-                    Column("limited by"),
-                    Column("runs", "", "d"),
+                    (Column("time"), lambda t: t.what),
+                    (Column("prediction"), lambda t: t.prediction),
+                    (Column("the other one", "ms", ".4g"), lambda t: 1e3 * t.other),
+                    (Column("settles up to", "ms", ".4g"), lambda t: _milli(t.settles_to)),
+                    (Column("smallest that fails", "ms", ".4g"), lambda t: _milli(t.fails_at)),
+                    (Column("limited by"), lambda t: None if t.limited_by is None else _LIMITING[t.limited_by]),
+                    (Column("runs", "", "d"), lambda t: len(t.tried)),
                 ],
-                timing_rows,
-                "One seed where there is noise.",
-                PAGE,
+                note="One seed where there is noise.",
+                page=PAGE,
             )
         )
     lines = []
     for d in found.directions:
         if d.settling:
             sizes = np.array(sorted(d.settling))
-            lines.append(
-                Line(_NAMES[d.name], sizes / d.largest, np.array([d.settling[size] for size in sizes]), "points")
-            )
+            lines.append(Line(_name(d), sizes / d.largest, np.array([d.settling[size] for size in sizes]), "points"))
     if lines:
         items.append(
             Curves(
@@ -242,8 +216,7 @@ def _data(found: LargestStart) -> dict[str, Any]:
     return {
         "applies": True,
         "empirical": True,
-        "law": found.law,
-        "duration": found.duration,
+        **picked(found, "law duration"),
         "longer_duration": found.longer or None,
         "runs": found.runs,
         "directions": [
@@ -265,6 +238,20 @@ def _data(found: LargestStart) -> dict[str, Any]:
             for t in found.timings
         ],
     }
+
+
+def _name(direction: Direction) -> str:
+    return "the task's own" if direction.name == "own" else direction.name
+
+
+def _settles_to(direction: Direction) -> str:
+    if not direction.settles_to:
+        return "none"
+    return _amount(direction, direction.settles_to) if direction.fails_at is None else border_words(direction)[0]
+
+
+def _milli(time: float | None) -> float | None:
+    return None if time is None else 1e3 * time
 
 
 def _amount(direction: Direction, size: float, digits: int = 3) -> str:

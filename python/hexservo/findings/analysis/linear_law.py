@@ -297,23 +297,24 @@ def linear_plant(scenario: Scenario, pose: Poses) -> LinearPlant:
         return hexapod.wrench_map(place.position, place.quaternion)
 
     to_legs = np.linalg.inv(wrench_map(still))
-    tick, substeps = scenario.simulation.step, scenario.simulation.substeps
+    substeps = scenario.simulation.substeps
+    step = scenario.simulation.step / substeps
 
-    def pushed(start: Poses, twist: Array, forces: Array, step: float, steps: int) -> tuple[Poses, Array]:
+    def pushed(start: Poses, twist: Array, forces: Array) -> tuple[Poses, Array]:
         place = (start.position, start.quaternion, twist)
-        position, quaternion, rates = _core.drive_legs(hexapod, body, error, *place, forces, step, steps)
+        position, quaternion, rates = _core.drive_legs(hexapod, body, error, *place, forces, step, substeps)
         return Poses(position.reshape(-1, 3)[-1], quaternion.reshape(-1, 4)[-1]), rates.reshape(-1, 6)[-1]
 
-    def columns(at: Callable[[Array], tuple[Poses, Array, Array]], size: float, step: float, steps: int) -> Array:
-        both = [[pushed(*at(sign * size * e), step, steps) for sign in (1.0, -1.0)] for e in np.eye(6)]
+    def columns(at: Callable[[Array], tuple[Poses, Array, Array]], size: float) -> Array:
+        both = [[pushed(*at(sign * size * e)) for sign in (1.0, -1.0)] for e in np.eye(6)]
         found = [np.concatenate([up[0].displacement_from(down[0]), up[1] - down[1]]) for up, down in both]
         return np.asarray(np.column_stack(found) / (2.0 * size))
 
     held = [
-        columns(lambda d: (pose.moved(d), still, resting), _POSE_STEP, tick / substeps, substeps),
-        columns(lambda d: (pose, d, resting), _TWIST_STEP, tick / substeps, substeps),
+        columns(lambda d: (pose.moved(d), still, resting), _POSE_STEP),
+        columns(lambda d: (pose, d, resting), _TWIST_STEP),
     ]
-    force = columns(lambda w: (pose, still, resting + to_legs @ w), 1e-3, tick / substeps, substeps)
+    force = columns(lambda w: (pose, still, resting + to_legs @ w), 1e-3)
     # Affine in the wrench: differences are exact.
     wrenches = np.vstack([np.zeros(6), np.eye(6)])
     poses = (np.tile(pose.position, (7, 1)), np.tile(pose.quaternion, (7, 1)))

@@ -18,7 +18,7 @@ from hexservo.findings.analysis.linear_law import (
     rest_of,
 )
 from hexservo.findings.analysis.linear_loop import Actuation, Clock, SampledLoop
-from hexservo.findings.analysis.scene import AT_HOME, AT_REST, scene_of
+from hexservo.findings.analysis.scene import ALL_AXES, AT_HOME, AT_REST, scene_of
 from hexservo.run.simulation import simulate, uninterrupted
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.fitted import gains_written
@@ -308,13 +308,10 @@ def growth(
     """
     scene = scene_of(scenario)
     home = scene.view(scene.home)
-    if way is None:
-        way = np.array([1.0, -0.8, 0.6, 0.9, 0.7, -1.0]) * scene.unit
-    shift = home.jacobian @ way
     tick = scenario.simulation.step
     quarter = max(16, -(-round(duration / tick) // (4 * every)))  # in samples
     changes: dict[str, Any] = {
-        "target.desired_features": (home.features + shift * offset / np.max(np.abs(shift))).tolist(),
+        "target.desired_features": home.after(ALL_AXES * scene.unit if way is None else way, offset).tolist(),
         "simulation.duration": 4 * quarter * every * tick,
         "simulation.log_every": 1,
     }

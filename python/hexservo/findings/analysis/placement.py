@@ -43,7 +43,7 @@ def image_radius(scene: Scene) -> float:
         return BORDER * _widest(scene.scenario, math.hypot(*size))
     if size is not None:
         return BORDER * 0.5 * float(min(size))
-    return max(RADIUS, float(np.hypot(*scene.view(scene.home).features.reshape(-1, 2).T).max()))
+    return max(RADIUS, farthest(scene.view(scene.home).features))
 
 
 def _widest(scenario: Scenario, most: float) -> float:
@@ -56,6 +56,11 @@ def _widest(scenario: Scenario, most: float) -> float:
         else:
             least = middle
     return least
+
+
+def farthest(features: Array) -> float:
+    """Return the largest distance of features (2p,) from the image centre [px]."""
+    return float(np.hypot(*features.reshape(-1, 2).T).max())
 
 
 def in_circle(radius: Array | float, angles: Array) -> Array:
@@ -79,11 +84,23 @@ def place(scene: Scene, name: str, features: Array, depth: Array, length: float)
     length
         Of what turns are multiplied by in `Placement.worst` [m].
     """
-    _, values, directions = np.linalg.svd(_scaled(scene, features, depth, length), full_matrices=False)
+    values, _, sigma = observability(_scaled(scene, features, depth, length), length)
+    with np.errstate(divide="ignore"):
+        return Placement(name, features, depth, sigma, float(1.0 / values[-1]))
+
+
+def observability(scaled: Array, length: float) -> tuple[Array, Array, Array]:
+    """Decompose a Jacobian (2p, 6) whose rotations are scaled by a length [m].
+
+    Returns
+    -------
+        Its singular values (6,), their directions (6, 6), one a row, and the standard deviations (6,) [m; rad] of the
+        pose by least squares, per unit of noise in each row.
+    """
+    _, values, directions = np.linalg.svd(scaled, full_matrices=False)
     with np.errstate(divide="ignore", invalid="ignore"):
         sigma = np.sqrt(((directions / values[:, None]) ** 2).sum(axis=0)) / np.repeat([1.0, length], 3)
-        worst = float(1.0 / values[-1])
-    return Placement(name, features, depth, sigma, worst)
+    return values, directions, sigma
 
 
 def placements(scene: Scene) -> tuple[Placement, ...]:
@@ -96,7 +113,7 @@ def placements(scene: Scene) -> tuple[Placement, ...]:
     own = scene.view(scene.home)
     length = own.mean_depth
     radius = image_radius(scene)
-    size = float(np.hypot(*own.features.reshape(-1, 2).T).max())
+    size = farthest(own.features)
     count = len(own.depth)
     plane, angles, shape = np.full(count, -length), corner_angles(count), shape_name(count)
     near = plane * _but(0, count, 1 - DEPTH_SHARE)

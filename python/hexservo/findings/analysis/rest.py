@@ -191,22 +191,14 @@ class RestLaw:
     def __init__(self, scene: Scene, *, exact_depth: bool = False) -> None:
         self._rest = Rest(scene.scenario)
         self._exact_depth = exact_depth
+        self.desired = self._rest.desired  # goal image, (2p,) [px]
+        self.gravity_error = self._rest.gravity_error  # delta_G G-bar, (6,) [N; N m]
 
     def aimed_at(self, desired: Array) -> RestLaw:
         """Return a copy with another goal image, (2p,) [px]."""
         other = copy(self)
-        other._rest = self._rest.aimed_at(desired)
+        other._rest, other.desired = self._rest.aimed_at(desired), desired
         return other
-
-    @property
-    def desired(self) -> Array:
-        """The goal image, (2p,) [px]."""
-        return self._rest.desired
-
-    @property
-    def gravity_error(self) -> Array:
-        """delta_G G-bar, (6,) [N; N m]."""
-        return self._rest.gravity_error
 
     def wrench(self, poses: Poses) -> Array:
         """Return the wrench at poses, (..., 6) in B [N; N m].

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copyreg
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -19,6 +20,9 @@ from hexservo.scenario.scenario import Scenario
 
 # Half widths of the region about home that is searched beside the workspace [mean depth; rad].
 WIDER = np.array([0.7, 0.7, 0.7, 0.6, 0.6, np.pi])
+
+# Direction of a small start that moves all six axes, in `Scene.unit`.
+ALL_AXES = np.array([1.0, -0.8, 0.6, 0.9, 0.7, -1.0])
 
 # Changes of a scenario whose run starts at home, at rest, whatever start it has.
 AT_HOME = {"simulation.start.pose": [0.0] * 6, "simulation.start.twist": [0.0] * 6}
@@ -41,6 +45,11 @@ class View:
     def mean_depth(self) -> float:
         """Mean distance of the points along the optical axis [m]."""
         return float(np.abs(self.depth).mean())
+
+    def after(self, way: Array, offset: float) -> Array:
+        """Return the features (2p,) [px] after a small move along a direction (6,), the farthest by an offset [px]."""
+        shift = self.jacobian @ way
+        return np.asarray(self.features + shift * offset / np.abs(shift).max())
 
 
 class Scene:
@@ -203,15 +212,13 @@ class Scene:
 
         Of rotary legs angles [rad], infinite where a crank does not close.
         """
-        pairs = zip(poses.rows.position, poses.rows.quaternion, strict=True)
-        found = np.asarray([self.hexapod.leg_lengths(*pose) for pose in pairs]) - self.hexapod.mid_lengths
-        return np.where(np.isnan(found), np.inf, found).reshape(*poses.shape, 6)
+        found = _at_each(self.hexapod.leg_lengths, poses, 6) - self.hexapod.mid_lengths
+        return np.where(np.isnan(found), np.inf, found)
 
     def lever_arms(self, poses: Poses) -> Array:
         """Return how far rotary legs are from having crank and rod in line, (..., 6): |w_i|/r, 0 where they are."""
-        pairs = zip(poses.rows.position, poses.rows.quaternion, strict=True)
-        found = np.abs([self.hexapod.lever_arms(*pose) for pose in pairs]) / (self.scenario.robot.cranks.length or 1.0)
-        return np.nan_to_num(found).reshape(*poses.shape, 6)
+        found = np.abs(_at_each(self.hexapod.lever_arms, poses, 6)) / (self.scenario.robot.cranks.length or 1.0)
+        return np.nan_to_num(found)
 
     @property
     def root_weights(self) -> Array:
@@ -233,14 +240,17 @@ class Scene:
         """Return which share of its limits the leg nearest to one has left, (...); negative beyond it."""
         return np.asarray(1.0 - self.limits_used(poses).max(axis=(-2, -1)))
 
+    def wrench_maps(self, poses: Poses) -> Array:
+        """Return H at poses, (..., 6, 6): leg forces to the wrench in B."""
+        return _at_each(self.hexapod.wrench_map, poses, 6, 6)
+
     def leg_rates(self, pose: Poses, twist: Array) -> Array:
         """Return the rates of the legs (6,) [m/s] at one pose, for a twist (6,) in B; of rotary legs [rad/s]."""
         return np.asarray(self.hexapod.wrench_map(pose.position, pose.quaternion)).T @ twist
 
     def leg_tilts(self, poses: Poses) -> Array:
         """Return the angles of the legs from their directions at home, (..., 2, 6) [rad], in B and in E."""
-        pairs = zip(poses.rows.position, poses.rows.quaternion, strict=True)
-        found = np.asarray([self.hexapod.leg_tilts(*pose) for pose in pairs]).reshape(*poses.shape, 2, 6)
+        found = _at_each(self.hexapod.leg_tilts, poses, 2, 6)
         return np.where(np.isnan(found), np.inf, found)  # a crank that does not close
 
     def limits_used(self, poses: Poses) -> Array:
@@ -264,9 +274,7 @@ class Scene:
         """Return which poses (n,) are on home's side of the singular ones, by the sign of det H."""
 
         def side(of: Poses) -> Array:
-            pairs = zip(of.position, of.quaternion, strict=True)
-            maps = np.asarray([self.hexapod.wrench_map(*pose) for pose in pairs])
-            return np.asarray(np.sign(np.linalg.det(np.nan_to_num(maps))))
+            return np.asarray(np.sign(np.linalg.det(np.nan_to_num(self.wrench_maps(of)))))
 
         return np.asarray(side(poses) == side(self.home.rows))
 
@@ -275,6 +283,12 @@ class Scene:
         moves = np.random.default_rng(seed).uniform(-1.0, 1.0, (8 * count, 6)) * WIDER * self.unit
         poses = self.home.moved(moves)
         return poses[np.flatnonzero(np.isfinite(self.image(poses)[0]).all(axis=1))[:count]]
+
+
+def _at_each(of: Callable[[Array, Array], Array], poses: Poses, *shape: int) -> Array:
+    """Return what the core gives at one position and quaternion for each pose, (..., *shape)."""
+    pairs = zip(poses.rows.position, poses.rows.quaternion, strict=True)
+    return np.asarray([of(*pose) for pose in pairs]).reshape(*poses.shape, *shape)
 
 
 @lru_cache(maxsize=8)  # several parts of an analysis ask

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
@@ -14,7 +14,8 @@ from hexservo.findings.analysis.stiction_runs import Runs, run
 from hexservo.findings.analysis.stiction_set import Extremes, RestSet, confirmed, extremes
 from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.laws import Fuzzy, laws_with
+from hexservo.scenario.laws import SMOOTH_KINDS, laws_with
+from hexservo.scenario.parameters import gains_of
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number
 
@@ -73,7 +74,7 @@ def analyse(scenario: Scenario) -> Stiction:
     `implicit_coupled`; without fuzzy systems also to `tanh` and `saturation`. Other cases have a sentence only.
     """
     scene = scene_of(scenario)
-    kind, reason = _kind(scenario)
+    kind, reason = _kind(scene)
     nothing = np.zeros(6)
     if kind in ("none", "open"):
         return Stiction(scene, kind, reason, nothing, nothing)
@@ -82,25 +83,25 @@ def analyse(scenario: Scenario) -> Stiction:
     if (unusable := _unusable(scene, goals)) is not None:
         return Stiction(scene, "open", unusable, nothing, nothing)
     law = RestLaw(scene)
-    block = scenario.controller.gains
-    kv = np.array(np.broadcast_to(np.asarray(block.kv, dtype=float), 6))
+    gains = gains_of(scene.settings)
+    kv = gains.kv
     if kind == "integrated":
         return Stiction(scene, kind, reason, kv, law.gravity_error, prior_error=_prior_error(scene, goals))
     cases = [_case(scene, law, goals, "J-hat, with the depth error", -kv, kv)]
     if kind == "creep":
-        creep = _creep(cases[0].rest, law.stiffness(goals.best.view.pose), scenario, kv)
+        creep = _creep(scene, cases[0].rest, law.stiffness(goals.best.view.pose))
         return Stiction(scene, kind, reason, kv, law.gravity_error, tuple(cases), creep=creep)
     if np.any(np.asarray(scenario.uncertainty.depth) != 0):
         cases.append(_case(scene, RestLaw(scene, exact_depth=True), goals, "J, exact depths", -kv, kv))
     way = None
-    if _driven_by_rate(scenario):
-        way = _straight_way(block.fuzzy, goals)
+    if _driven_by_rate(scene):
+        way = _straight_way(gains.fuzzy, goals)
         low, high = np.minimum(way, 0.0) - kv, np.maximum(way, 0.0) + kv
         cases.append(_case(scene, law, goals, "J-hat, with the output of the fuzzy systems", low, high))
     home = _around_home(scene, law, kv)
     runs: tuple[Runs, ...] = ()
     if home.ends is not None and (kv > 0).all():
-        settings = [False, True] if block.fuzzy.enabled else [False]
+        settings = [False, True] if gains.fuzzy.enabled else [False]
         runs = tuple(run(scene, law, home.rest, home.ends, kv, fuzzy) for fuzzy in settings)
     return Stiction(scene, kind, reason, kv, law.gravity_error, tuple(cases), home, runs, straight_way=way)
 
@@ -120,47 +121,41 @@ def _unusable(scene: Scene, goals: Goals) -> str | None:
     return None
 
 
-def _kind(scenario: Scenario) -> tuple[Kind, str]:
+def _kind(scene: Scene) -> tuple[Kind, str]:
     """Return which case of the analysis applies to a law, and the reason."""
+    scenario = scene.scenario
     law = scenario.controller.law
     if law not in laws_with("switching"):
         return "none", f"The law {law} has no switching term: nothing holds the platform off its equilibrium."
     if scenario.camera.convention == "as_printed":
         return "open", "Open: a camera as printed has no points in space, so the set has no poses."
-    if reason := scene_of(scenario).unusual_body:
+    if reason := scene.unusual_body:
         return "open", f"Open: {reason}"
-    block = scenario.controller.gains
+    gains = gains_of(scene.settings)
     switching = scenario.controller.switching
-    smooth = switching.kind in ("tanh", "saturation")
-    if scenario.controller.traits.pose_error and block.fuzzy.enabled:
-        drive = np.broadcast_to(np.asarray(block.drive, dtype=float), 6)
-        fuzzy = block.fuzzy
-        restrained = (
-            np.any(np.asarray(fuzzy.leakage) > 0)
-            or np.any(np.asarray(fuzzy.dead_zone) > 0)
-            or fuzzy.weight_limit is not None
-        )
-        if (drive > 0).all() and not restrained:
+    smooth = switching.kind in SMOOTH_KINDS
+    if scenario.controller.traits.pose_error and gains.fuzzy.enabled:
+        fuzzy = gains.fuzzy
+        restrained = ((fuzzy.leakage > 0) | (fuzzy.dead_zone > 0) | np.isfinite(fuzzy.weight_limit)).any()
+        if (gains.drive > 0).all() and not restrained:
             return "integrated", (
                 "There is no stiction set: the pose error e drives the fuzzy systems until their output exceeds K_v, "
                 "so the platform creeps or slips on until e = 0."
             )
-        if (drive > 0).any():
+        if (gains.drive > 0).any():
             return "open", (
                 "Open: the pose error drives the fuzzy systems in part of the axes only, or leakage, dead zone or "
                 "limit bound their output; the set is then not that of K_v alone."
             )
-    kv = np.broadcast_to(np.asarray(block.kv, dtype=float), 6)
+    kv = gains.kv
     if smooth and (kv > 0).all():
-        if _driven_by_rate(scenario):
+        if _driven_by_rate(scene):
             return "open", (
                 f"Open: {switching.kind} is zero at rest, so within K_v the platform creeps, and the twist alone "
                 "drives the fuzzy systems: their output is a spring towards the start, which the creep ends at."
             )
-        return (
-            "creep",
-            f"There is no stiction set: {switching.kind} is zero at rest, so within K_v the platform creeps.",
-        )
+        reason = f"There is no stiction set: {switching.kind} is zero at rest, so within K_v the platform creeps."
+        return "creep", reason
     if smooth and (kv > 0).any():
         return "open", "Open: a smooth switching term that acts on some axes only."
     if (kv == 0).all():
@@ -173,12 +168,11 @@ def _kind(scenario: Scenario) -> tuple[Kind, str]:
     return "set", f"With {switching.kind} a platform in the set is at rest exactly."
 
 
-def _driven_by_rate(scenario: Scenario) -> bool:
+def _driven_by_rate(scene: Scene) -> bool:
     """Return whether the twist alone drives the fuzzy systems: their output is then a spring towards the start."""
-    block = scenario.controller.gains
-    if not block.fuzzy.enabled:
-        return False
-    return not (scenario.controller.traits.pose_error and np.any(np.asarray(block.drive) > 0))
+    gains = gains_of(scene.settings)
+    by_pose = scene.scenario.controller.traits.pose_error and (gains.drive > 0).any()
+    return bool(gains.fuzzy.enabled and not by_pose)
 
 
 def _case(scene: Scene, law: RestLaw, goals: Goals, name: str, low: Array, high: Array) -> StictionCase:
@@ -197,26 +191,23 @@ def _around_home(scene: Scene, law: RestLaw, box: Array) -> StictionCase:
     return StictionCase("around home", rest, extremes(rest), None)
 
 
-def _straight_way(fuzzy: Fuzzy, goals: Goals) -> Array:
+def _straight_way(fuzzy: Any, goals: Goals) -> Array:
     """Return the output of one rule that fires alone on the way to the goal: displacement/Psi, within the limit."""
-    way = goals.nearest.displacement / np.broadcast_to(np.asarray(fuzzy.adaptation), 6)
-    if fuzzy.weight_limit is not None:
-        limit = np.asarray(fuzzy.weight_limit)
-        way = np.clip(way, -limit, limit)
-    return np.asarray(way, dtype=float)
+    way = goals.nearest.displacement / fuzzy.adaptation
+    return np.asarray(np.clip(way, -fuzzy.weight_limit, fuzzy.weight_limit))
 
 
-def _creep(rest: RestSet, at_goal: Array, scenario: Scenario, kv: Array) -> Creep:
+def _creep(scene: Scene, rest: RestSet, at_goal: Array) -> Creep:
     """Follow all displacements that K_v would hold for the run's duration: a linear map, hence linear programs.
 
     The time constants are those of the stiffness at the goal itself, (6, 6).
     """
     from scipy.linalg import expm
 
-    controller = scenario.controller
-    damping = kv / controller.switching.width
-    if controller.traits.viscous:
-        damping = damping + np.broadcast_to(np.asarray(controller.gains.kd), 6)
+    scenario, gains = scene.scenario, gains_of(scene.settings)
+    damping = gains.kv / scenario.controller.switching.width
+    if scenario.controller.traits.viscous:
+        damping = damping + gains.kd
     rates = np.linalg.eigvals(at_goal / damping[:, None]).real
     with np.errstate(divide="ignore"):
         times = np.sort(np.where(rates > 0, 1.0 / rates, np.inf))[::-1]

@@ -13,6 +13,7 @@ from hexservo.findings.analysis.scene import AT_HOME, AT_REST, Scene
 from hexservo.findings.analysis.stiction_set import Extremes, RestSet
 from hexservo.run.batch import simulate_batch, whole
 from hexservo.scenario.arrays import Array, Mask
+from hexservo.scenario.parameters import gains_of
 
 COUNT = 64  # goals, the scenario's own the first
 _DURATION = 2.0  # [s], at most
@@ -89,9 +90,8 @@ def run(scene: Scene, law: RestLaw, rest: RestSet, ends: Extremes, kv: Array, fu
         final[k] = laws[k].wrench(poses[k]) - tau[k]
     still = _CHATTER * scenario.simulation.step * kv / inertia
     if scenario.controller.traits.viscous:
-        kd = np.broadcast_to(np.asarray(scenario.controller.gains.kd), 6)
         with np.errstate(divide="ignore"):
-            still = np.minimum(still, _DAMPED * kv / kd)
+            still = np.minimum(still, _DAMPED * kv / gains_of(settings).kd)
     at_rest = np.asarray((speed <= still).all(axis=1))
     aims = Poses.joined(scene.home, scene.home.moved(_displacements(rest, ends)))  # that of the first is not used
     near = np.abs(scene.leg_travel(poses) - scene.leg_travel(aims)).max(axis=1) <= scene.stroke

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from hexservo.findings.analysis.stiction import Stiction, StictionCase
 from hexservo.findings.analysis.stiction_runs import Runs
-from hexservo.findings.analysis.stiction_set import SPAN
-from hexservo.findings.analysis.words import number
+from hexservo.findings.analysis.stiction_set import SPAN, Extremes
+from hexservo.findings.analysis.words import AXES, number
 from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict, picked
 
 PAGE = "docs/analysis/stiction.md"
 _BORDER = 1.01  # times K_v: viscous damping lets a platform end on the border of the set, where it comes to rest slowly
-_AXES = ("force along x", "force along y", "force along z", "moment about x", "moment about y", "moment about z")
-_SHORT = ("along x", "along y", "along z", "about x", "about y", "about z")
 
 
 def section(found: Stiction) -> Section:
@@ -88,7 +86,7 @@ def _of_the_set(found: Stiction, case: StictionCase) -> str:
         error = "below 1e-6 px" if exact else f"of {number(ends.largest)} px"
         return f"The equilibrium near the goal is a point, with an image error {error}."
     axes, legs, span = case.rest.limits_at(ends.displacements[0])
-    limits = [f"K_v ({', '.join(_SHORT[axis] for axis in np.flatnonzero(axes))})"] if axes.any() else []
+    limits = [f"K_v ({', '.join(AXES[axis] for axis in np.flatnonzero(axes))})"] if axes.any() else []
     limits += (
         [f"the stroke of the legs {', '.join(str(leg + 1) for leg in np.flatnonzero(legs))}"] if legs.any() else []
     )
@@ -154,37 +152,24 @@ def _items(found: Stiction) -> list[Item]:
 
 
 def _case_table(found: Stiction) -> Table:
-    rows: list[Sequence[Cell]] = []
-    for case in found.cases:
-        ends = case.ends
-        if ends is None:
-            rows.append([case.name, *[None] * 8])
-            continue
-        rows.append(
-            [
-                case.name,
-                ends.largest,
-                ends.rms,
-                1e3 * ends.largest / found.focal_pixels,
-                1e3 * ends.turn,
-                case.confirmed,
-                *(1e3 * float(np.abs(part).max()) for part in (ends.pose[:2], ends.pose[2:3], ends.pose[3:])),
-            ]
-        )
-    return Table(
-        title="Set held by K_v around the goal",
-        columns=(
-            Column("case"),
-            Column("largest coordinate", "px", ".3g"),
-            Column("RMS", "px", ".3g"),
-            Column("at the focal length", "mrad", ".3g"),
-            Column("optical axis", "mrad", ".3g"),
-            Column("checked pose", "px", ".3g"),
-            Column("across", "mm", ".3g"),
-            Column("along z", "mm", ".3g"),
-            Column("turned", "mrad", ".3g"),
-        ),
-        rows=rows,
+
+    def of(value: Callable[[Extremes], float]) -> Callable[[StictionCase], float | None]:
+        return lambda case: None if case.ends is None else value(case.ends)
+
+    return Table.of(
+        "Set held by K_v around the goal",
+        found.cases,
+        [
+            (Column("case"), lambda case: case.name),
+            (Column("largest coordinate", "px", ".3g"), of(lambda ends: ends.largest)),
+            (Column("RMS", "px", ".3g"), of(lambda ends: ends.rms)),
+            (Column("at the focal length", "mrad", ".3g"), of(lambda ends: 1e3 * ends.largest / found.focal_pixels)),
+            (Column("optical axis", "mrad", ".3g"), of(lambda ends: 1e3 * ends.turn)),
+            (Column("checked pose", "px", ".3g"), lambda case: case.confirmed),
+            (Column("across", "mm", ".3g"), of(lambda ends: 1e3 * float(ends.pose[:2].max()))),
+            (Column("along z", "mm", ".3g"), of(lambda ends: 1e3 * float(ends.pose[2]))),
+            (Column("turned", "mrad", ".3g"), of(lambda ends: 1e3 * float(ends.pose[3:].max()))),
+        ],
         note="Linear programs over the box of K_v and the stroke of the legs, linearised at the pose nearest to home "
         "with the goal image within 0.1 px; tau_f = 0 unless stated. Checked pose: the law itself and "
         "the legs were evaluated there.",
@@ -193,33 +178,23 @@ def _case_table(found: Stiction) -> Table:
 
 
 def _axis_table(found: Stiction) -> Table:
-    zero = np.zeros(6)
-    way = zero if found.straight_way is None else found.straight_way
-    rows = [
-        (
-            name,
-            "N" if axis < 3 else "N m",
-            float(found.kv[axis]),
-            float(found.gravity_error[axis]),
-            float(way[axis]),
-            max(
-                (float(np.abs(runs.fuzzy_output[runs.counted, axis]).max(initial=0.0)) for runs in found.runs),
-                default=None,
-            ),
-        )
-        for axis, name in enumerate(_AXES)
-    ]
-    return Table(
-        title="Wrenches on a platform at rest, by axis",
-        columns=(
-            Column("axis"),
-            Column("unit"),
-            Column("K_v", format=".3g"),
-            Column("gravity error", format=".3g"),
-            Column("fuzzy systems, straight path", format=".3g"),
-            Column("fuzzy systems, largest in the runs", format=".3g"),
-        ),
-        rows=rows,
+    way = np.zeros(6) if found.straight_way is None else found.straight_way
+
+    def largest(axis: int) -> float | None:
+        outputs = (runs.fuzzy_output[runs.counted, axis] for runs in found.runs)
+        return max((float(np.abs(output).max(initial=0.0)) for output in outputs), default=None)
+
+    return Table.of(
+        "Wrenches on a platform at rest, by axis",
+        range(6),
+        [
+            (Column("axis"), lambda axis: f"{'force' if axis < 3 else 'moment'} {AXES[axis]}"),
+            (Column("unit"), lambda axis: "N" if axis < 3 else "N m"),
+            (Column("K_v", format=".3g"), lambda axis: float(found.kv[axis])),
+            (Column("gravity error", format=".3g"), lambda axis: float(found.gravity_error[axis])),
+            (Column("fuzzy systems, straight path", format=".3g"), lambda axis: float(way[axis])),
+            (Column("fuzzy systems, largest in the runs", format=".3g"), largest),
+        ],
         note="Straight path: output of one rule between home and the goal, displacement/Psi.",
         page=PAGE,
     )

@@ -9,9 +9,11 @@ from hexservo.scenario.arrays import Array
 from hexservo.scenario.wording import number
 
 __all__ = [
+    "AXES",
     "along",
     "direction_words",
     "displacement_words",
+    "finite",
     "motion_in_words",
     "number",
     "numbers",
@@ -19,7 +21,9 @@ __all__ = [
     "vector_words",
 ]
 
-_AXES = "xyz"
+AXES = ("along x", "along y", "along z", "about x", "about y", "about z")
+"""Of shifts and turns, of forces and moments."""
+
 _STRAIGHT = 0.98  # cosine from which a direction is called that of an axis
 _LITTLE = 0.03  # of what the other part does to the image: a part that is left out
 
@@ -38,7 +42,7 @@ def along(vector: Array, *, signed: bool = False) -> str:
     unit = vector / np.linalg.norm(vector)
     largest = int(np.abs(unit).argmax())
     if abs(unit[largest]) > _STRAIGHT:
-        return ("-" if signed and unit[largest] < 0 else "") + _AXES[largest]
+        return ("-" if signed and unit[largest] < 0 else "") + "xyz"[largest]
     return "(" + ", ".join(f"{value + 0.0:.2f}" for value in np.where(np.abs(unit) < 0.005, 0.0, unit)) + ")"
 
 
@@ -93,6 +97,11 @@ def displacement_words(displacement: Array) -> str:
 def vector_words(values: Array) -> str:
     """Write the entries of a vector with three digits, those below 0.005 as zero."""
     return "(" + ", ".join(number(0.0 if abs(value) < 0.005 else value) for value in values) + ")"
+
+
+def finite(value: float) -> float | None:
+    """Return a number for a table; None, which leaves its cell empty, where it is not finite."""
+    return value if np.isfinite(value) else None
 
 
 def open_section(name: str, title: str, reason: str) -> Section:

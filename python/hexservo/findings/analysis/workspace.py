@@ -187,13 +187,10 @@ def _distance_to_singular(scene: Scene, poses: Poses) -> Array:
     The zeros do not depend on the point; about a far one all values are small.
     """
     mean = np.reshape(scene.hexapod.platform_joints, (6, 3)).mean(axis=0, keepdims=True)
-    found = []
-    for position, quaternion in zip(poses.position, poses.quaternion, strict=True):
-        to_mean = (Poses(position, quaternion).carried(mean) - position)[0]
-        force, moment = np.split(np.asarray(scene.hexapod.wrench_map(position, quaternion)), 2)
-        moment = (moment - np.cross(to_mean, force, axis=0)) / scene.platform_radius
-        found.append(np.vstack([force, moment]))
-    return np.asarray(np.linalg.svd(np.array(found), compute_uv=False)[:, -1])
+    to_mean = poses.carried(mean) - poses.position[:, None]  # (n, 1, 3)
+    force, moment = np.split(scene.wrench_maps(poses), 2, axis=1)
+    moment = (moment - np.cross(to_mean.swapaxes(1, 2), force, axis=1)) / scene.platform_radius
+    return np.asarray(np.linalg.svd(np.concatenate([force, moment], axis=1), compute_uv=False)[:, -1])
 
 
 def _steps(scene: Scene, left: Array, singular: Array, length: Array, speed: Array, turning: Array) -> Array:

@@ -6,13 +6,12 @@ import numpy as np
 
 from hexservo.findings.analysis.goal import TOLERANCE
 from hexservo.findings.analysis.reach import leg_margin
-from hexservo.findings.analysis.words import number
+from hexservo.findings.analysis.words import AXES, finite, number
 from hexservo.findings.analysis.workspace import RANDOM, WAY, Reach, Workspace, WorkspacePose
-from hexservo.findings.evidence import Column, HeatMap, Line, Section, Table, Verdict
+from hexservo.findings.evidence import Column, HeatMap, Line, Section, Table, Verdict, picked
 
 PAGE = "docs/analysis/workspace.md"
 _SLIM = 0.1  # of stroke, force limit or distance to singularity: less than this is worth a warning
-_AXES = "xyz"
 _SIDES = ("base", "platform")
 _ENDS = {
     "stroke": "stroke",
@@ -38,9 +37,8 @@ def _verdict(found: Workspace) -> Verdict:
     reached = found.nearest or found.start
     if not reached.reachable or np.abs(reached.actual_forces).max() > found.force_limit:
         return "bad"
-    force = max(float(np.abs(place.actual_forces).max()) for place in _places(found))
     slim = min([*(place.left for place in _places(found)), *found.way_left]) < _SLIM or not found.way_within.all()
-    slim = slim or force > (1 - _SLIM) * found.force_limit
+    slim = slim or _largest_force(found) > (1 - _SLIM) * found.force_limit
     singular = found.neighbourhood_singularity < _SLIM * found.start.singularity
     return "warning" if slim or singular else "good"
 
@@ -50,8 +48,8 @@ def _sentences(found: Workspace) -> list[str]:
     if found.goals is None:
         words.append("The goal pose is open: a camera as printed has no points in space.")
     words.append(
-        f"From home the legs allow {_reach_words(found.axes[:6], 'mm', 'along')} and "
-        f"{_reach_words(found.axes[6:], 'mrad', 'about')}; the shortest of {RANDOM} random translations and "
+        f"From home the legs allow {_reach_words(found.axes[:6], 'mm', AXES[:3])} and "
+        f"{_reach_words(found.axes[6:], 'mrad', AXES[3:])}; the shortest of {RANDOM} random translations and "
         f"rotations are {_distance(found.least_shift)} mm and {_distance(found.least_turn)} mrad."
     )
     places = _places(found)[:2]
@@ -82,9 +80,13 @@ def _sentences(found: Workspace) -> list[str]:
 
 def _overloaded(found: Workspace) -> bool:
     """Return whether the holding forces are near the limit of the legs, or beyond, and no other limit is exceeded."""
-    force = max(float(np.abs(place.actual_forces).max()) for place in _places(found))
     beyond = (found.nearest or found.start).left < 0
-    return not beyond and force > (1 - _SLIM) * found.force_limit
+    return not beyond and _largest_force(found) > (1 - _SLIM) * found.force_limit
+
+
+def _largest_force(found: Workspace) -> float:
+    """Return the largest force of a leg that holds the actual weight at the start and at the goal [N], torque [N m]."""
+    return max(float(np.abs(place.actual_forces).max()) for place in _places(found))
 
 
 def _of_goal(found: Workspace) -> str:
@@ -191,8 +193,7 @@ def _speed_table(found: Workspace) -> list[Table]:
             title="Largest speeds of the platform at the speed limit of the legs",
             columns=(
                 Column("at"),
-                *(Column(f"along {axis}", "mm/s", ".4g") for axis in _AXES),
-                *(Column(f"about {axis}", "mrad/s", ".4g") for axis in _AXES),
+                *(Column(axis, "mm/s" if k < 3 else "mrad/s", ".4g") for k, axis in enumerate(AXES)),
             ),
             rows=[(place.name, *(1e3 * speeds)) for place, speeds in places],
             note=f"One motion at a time, in the base frame, until the first leg is at {number(1e3 * limit)} "
@@ -203,23 +204,18 @@ def _speed_table(found: Workspace) -> list[Table]:
 
 
 def _reach_table(found: Workspace) -> Table:
-    rows = []
-    for pair in range(6):
-        ahead, back = found.axes[2 * pair], found.axes[2 * pair + 1]
-        unit = "mm" if pair < 3 else "mrad"
-        name = ("shift along " if pair < 3 else "turn about ") + _AXES[pair % 3]
-        rows.append((name, unit, *(_cell(end) for end in (ahead, back)), _end(ahead), _end(back)))
-    return Table(
-        title="Reach from home, by axis",
-        columns=(
-            Column("motion"),
-            Column("unit"),
-            Column("ahead", format=".4g"),
-            Column("back", format=".4g"),
-            Column("limit ahead"),
-            Column("and back"),
-        ),
-        rows=rows,
+    ahead, back = found.axes[::2], found.axes[1::2]
+    return Table.of(
+        "Reach from home, by axis",
+        range(6),
+        [
+            (Column("motion"), lambda axis: f"{'shift' if axis < 3 else 'turn'} {AXES[axis]}"),
+            (Column("unit"), lambda axis: "mm" if axis < 3 else "mrad"),
+            (Column("ahead", format=".4g"), lambda axis: finite(1e3 * ahead[axis].distance)),
+            (Column("back", format=".4g"), lambda axis: finite(1e3 * back[axis].distance)),
+            (Column("limit ahead"), lambda axis: _end(ahead[axis])),
+            (Column("and back"), lambda axis: _end(back[axis])),
+        ],
         note="Until the first leg is at a limit or the legs are singular; one motion at a time, in the base frame. "
         "Empty: no limit within 180 deg.",
         page=PAGE,
@@ -256,14 +252,12 @@ def _map(found: Workspace) -> HeatMap:
 
 def _data(found: Workspace) -> dict[str, object]:
     return {
-        "stroke": found.stroke,
-        "force_limit": found.force_limit,
+        **picked(found, "stroke force_limit"),
         "speed_limit": found.scene.scenario.robot.speed_limit,
         "joint_limit": found.scene.joint_limit,
         **{
             place.name.replace(" ", "_"): {
-                "position": place.pose.position,
-                "quaternion": place.pose.quaternion,
+                **picked(place.pose, "position quaternion"),
                 "leg_travel": place.travel,
                 "stroke_left": _stroke_left(found, place),
                 "reachable": place.reachable,
@@ -276,15 +270,11 @@ def _data(found: Workspace) -> dict[str, object]:
             }
             for place in _places(found)
         },
-        "reach": [
-            {"direction": end.direction, "distance": end.distance, "leg": end.leg, "limit": end.limit}
-            for end in found.axes
-        ],
-        "least_shift": {"direction": found.least_shift.direction, "distance": found.least_shift.distance},
-        "least_turn": {"direction": found.least_turn.direction, "distance": found.least_turn.distance},
+        "reach": [picked(end, "direction distance leg limit") for end in found.axes],
+        "least_shift": picked(found.least_shift, "direction distance"),
+        "least_turn": picked(found.least_turn, "direction distance"),
         "way_limits_left": found.way_left,
-        "neighbourhood_singularity": found.neighbourhood_singularity,
-        "neighbourhood_force": found.neighbourhood_force,
+        **picked(found, "neighbourhood_singularity neighbourhood_force"),
     }
 
 
@@ -307,13 +297,9 @@ def _distance(end: Reach) -> str:
     return number(1e3 * end.distance) if np.isfinite(end.distance) else "any number of"
 
 
-def _cell(end: Reach) -> float | None:
-    return 1e3 * end.distance if np.isfinite(end.distance) else None
-
-
-def _reach_words(ends: tuple[Reach, ...], unit: str, word: str) -> str:
+def _reach_words(ends: tuple[Reach, ...], unit: str, axes: tuple[str, ...]) -> str:
     """Return how far three axes reach, ahead and back."""
     if not any(np.isfinite(end.distance) for end in ends):
-        return f"180 deg {word} every axis"
-    pairs = [f"+{_distance(ends[2 * k])}/-{_distance(ends[2 * k + 1])} {unit} {word} {_AXES[k]}" for k in range(3)]
-    return ", ".join(pairs)
+        return f"180 deg {axes[0].removesuffix(' x')} every axis"
+    pairs = zip(ends[::2], ends[1::2], axes, strict=True)
+    return ", ".join(f"+{_distance(ahead)}/-{_distance(back)} {unit} {axis}" for ahead, back, axis in pairs)

@@ -49,17 +49,12 @@ class Certificate(Findings):
         """
         found = []
         for name, title in _TITLES.items():
-            part = getattr(self, name)
-            if part is not None:
-                section = part.section()
-                if section.verdict == "good" and not self.only_rounding:
-                    sentences = [sentence for sentence in section.sentences if sentence != self.remark]
-                    section = replace(section, verdict="warning", sentences=[*sentences, self.remark])
-                found.append(section)
-            else:
-                found.append(
-                    Section(name, title, [self.open_questions[name]], data={"open": self.open_questions[name]})
-                )
+            part, reason = getattr(self, name), self.open_questions.get(name, "")
+            section = Section(name, title, [reason], data={"open": reason}) if part is None else part.section()
+            if section.verdict == "good" and not self.only_rounding:
+                sentences = [sentence for sentence in section.sentences if sentence != self.remark]
+                section = replace(section, verdict="warning", sentences=[*sentences, self.remark])
+            found.append(section)
         return tuple(found)
 
     def to_dict(self) -> dict[str, Any]:

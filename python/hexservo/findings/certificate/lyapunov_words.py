@@ -7,7 +7,8 @@ import numpy as np
 from hexservo.findings.certificate.lyapunov import Lyapunov, Rise
 from hexservo.findings.certificate.uncertainty import AXES
 from hexservo.findings.certificate.words import stride
-from hexservo.findings.evidence import Column, Curves, Line, Section, Table, Verdict
+from hexservo.findings.evidence import Column, Curves, Line, Section, Table, Verdict, picked
+from hexservo.scenario.laws import SMOOTH_KINDS
 from hexservo.scenario.wording import joules, number, shown_unit
 
 PAGE = "docs/certificate/lyapunov.md"
@@ -71,7 +72,7 @@ def section(found: Lyapunov) -> Section:
             f"{found.limited} samples lie next to a step that the weights' limit cut and are left out; the cut "
             "itself never raises V, since w* keeps the limit."
         )
-    if rising and found.switching in ("tanh", "saturation"):
+    if rising and found.switching in SMOOTH_KINDS:
         sentences.append(
             f"With {found.switching} K_v acts in full only outside of its layer: V may grow inside it although the "
             "assumption holds."
@@ -88,17 +89,14 @@ def section(found: Lyapunov) -> Section:
         items=_items(found),
         verdict=_verdict(found),
         data={
-            "start": {
-                "total": float(found.value[0]),
-                "kinetic": float(found.kinetic[0]),
-                "image": float(found.image[0]),
-                "weights": float(found.weight[0]),
-            },
-            "end": {
-                "total": float(found.value[-1]),
-                "kinetic": float(found.kinetic[-1]),
-                "image": float(found.image[-1]),
-                "weights": float(found.weight[-1]),
+            **{
+                name: {
+                    "total": float(found.value[at]),
+                    "kinetic": float(found.kinetic[at]),
+                    "image": float(found.image[at]),
+                    "weights": float(found.weight[at]),
+                }
+                for name, at in (("start", 0), ("end", -1))
             },
             "change": change,
             "largest_above_start": top,
@@ -110,8 +108,7 @@ def section(found: Lyapunov) -> Section:
             "samples_compared": found.compared,
             "samples_left_out_switching": found.switched,
             "samples_left_out_limit": found.limited,
-            "change_in_switches": found.change_in_switches,
-            "rise_in_a_switch": found.rise_in_a_switch,
+            **picked(found, "change_in_switches rise_in_a_switch"),
             "samples_rising": rising,
             "rises": [vars(rise) for rise in found.rises],
         },
@@ -141,30 +138,18 @@ def _items(found: Lyapunov) -> tuple[Table | Curves, ...]:
     change, per_joule = shown_unit(max(float(np.abs(part[shown]).max()) for part in changes), "J")
     rates = (found.predicted[shown], found.differentiated[shown])
     power, per_axis_watt = shown_unit(max(float(np.nanmax(np.abs(rate))) for rate in rates), "W")
-    table = Table(
+    table = Table.of(
         "Where V grows, worst first",
-        (
-            Column("from", "s"),
-            Column("to", "s"),
-            Column("samples"),
-            Column("largest V-dot", grows),
-            Column("axis"),
-            Column("largest term"),
-            Column("its power", grows),
-            Column("gamma of the axis"),
-        ),
+        rises[:_ROWS],
         [
-            (
-                rise.first,
-                rise.last,
-                rise.samples,
-                rise.rate * per_watt,
-                AXES[rise.axis],
-                rise.term,
-                rise.power * per_watt,
-                rise.gamma,
-            )
-            for rise in rises[:_ROWS]
+            (Column("from", "s"), lambda rise: rise.first),
+            (Column("to", "s"), lambda rise: rise.last),
+            (Column("samples"), lambda rise: rise.samples),
+            (Column("largest V-dot", grows), lambda rise: rise.rate * per_watt),
+            (Column("axis"), lambda rise: AXES[rise.axis]),
+            (Column("largest term"), lambda rise: rise.term),
+            (Column("its power", grows), lambda rise: rise.power * per_watt),
+            (Column("gamma of the axis"), lambda rise: rise.gamma),
         ],
         note=f"{len(rises)} intervals in all. gamma in N or N m.",
         page=PAGE,

@@ -141,13 +141,7 @@ def every_step(scenario: Scenario) -> Result:
     return uninterrupted(simulate(scenario.updated({"simulation.log_every": 1}), log_weights=True))
 
 
-def replay_of(
-    run: Result,
-    scenario: Scenario,
-    end_time: float,
-    *,
-    own: bool = False,
-) -> Replay:
+def replay_of(run: Result, scenario: Scenario, end_time: float, *, own: bool = False) -> Replay:
     """Select the samples of a run that has every step, up to a time [s]."""
     count = min(len(run.time), round(end_time / scenario.simulation.step) + 1)
     settings = core_parameters(scenario)

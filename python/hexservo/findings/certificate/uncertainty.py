@@ -111,13 +111,7 @@ def assumption_of(run: Replay, uncertainty: DeltaTau, *, smallest: bool = True) 
     else:
         limits = gains.fuzzy.weight_limit
         weights = tuple(
-            best_weights(
-                uncertainty.basis[:, j],
-                total[:, j],
-                float(limits[j]) if np.isfinite(limits[j]) else None,
-                smallest=smallest,
-            )
-            for j in range(6)
+            best_weights(uncertainty.basis[:, j], total[:, j], float(limits[j]), smallest=smallest) for j in range(6)
         )
         output = np.stack([uncertainty.basis[:, j] @ weights[j].weights for j in range(6)], axis=1)
         gamma, lower = total - output, np.array([best.lower_bound for best in weights])

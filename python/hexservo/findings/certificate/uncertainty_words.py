@@ -44,34 +44,21 @@ def section(found: Assumption) -> Section:
                 f"{AXES[limited[0]]}; larger ones could have a smaller error there."
             )
     sentences.append("This holds at the samples of this trajectory only.")
-    rows = [
-        (
-            AXES[j],
-            UNITS[j],
-            float(found.kv[j]),
-            float(found.largest[j]),
-            float(found.eta[j]),
-            float(found.margin[j]),
-            "yes" if found.held[j] else "no",
-            float(found.instants[j]),
-            None if found.weights is None else float(np.linalg.norm(found.weights[j].weights)),
-        )
-        for j in range(6)
-    ]
-    table = Table(
+    norms = [None] * 6 if found.weights is None else [float(np.linalg.norm(best.weights)) for best in found.weights]
+    table = Table.of(
         "Assumption of the theorem, axis by axis",
-        (
-            Column("axis"),
-            Column("unit"),
-            Column("k_v"),
-            Column("largest |Delta-tau|"),
-            Column("eta_Delta"),
-            Column("margin"),
-            Column("held"),
-            Column("largest at", "s"),
-            Column("norm of w*"),
-        ),
-        rows,
+        range(6),
+        [
+            (Column("axis"), lambda j: AXES[j]),
+            (Column("unit"), lambda j: UNITS[j]),
+            (Column("k_v"), lambda j: float(found.kv[j])),
+            (Column("largest |Delta-tau|"), lambda j: float(found.largest[j])),
+            (Column("eta_Delta"), lambda j: float(found.eta[j])),
+            (Column("margin"), lambda j: float(found.margin[j])),
+            (Column("held"), lambda j: "yes" if found.held[j] else "no"),
+            (Column("largest at", "s"), lambda j: float(found.instants[j])),
+            (Column("norm of w*"), lambda j: norms[j]),
+        ],
         note="Margin: k_v - eta_Delta.",
         page=PAGE,
     )

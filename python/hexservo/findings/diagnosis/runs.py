@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from hexservo.findings.diagnosis.criterion import Record, make_record
-from hexservo.run.batch import BatchResult, simulate_batch, whole
+from hexservo.run.batch import BatchResult, metrics_of, simulate_batch, whole
 from hexservo.run.result import Result
 from hexservo.run.shared import numbers_of, shared_by, widest
 from hexservo.scenario.arrays import Array
@@ -135,7 +135,7 @@ def _batch_record(batch: BatchResult, row: int, *, keep: bool) -> Record:
         str(batch.outcome[row]),
         batch.detail(row),
         float(batch.end_time[row]),
-        {name: float(values[row]) for name, values in batch.metrics.items()},
+        metrics_of(batch, row),
         batch.time[there],
         {name: batch.samples[name][row][there] for name in names},
         keep=keep,
