@@ -303,7 +303,7 @@ def write_then_show(out: str | None, write_into: Callable[[str], object], show: 
 
 
 def watched() -> bool:
-    """Return whether standard error is a terminal, where somebody sees how far a command is."""
+    """Return whether standard error is a terminal, where a user sees how far a command has come."""
     return sys.stderr is not None and sys.stderr.isatty()
 
 
