@@ -10,12 +10,19 @@ import numpy as np
 
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.diagnosis.drives import DRIVES
-from hexservo.findings.diagnosis.environment import (
-    BASE_MOTIONS,
-    ideal,
-    ordinary,
+from hexservo.findings.diagnosis.environment import BASE_MOTIONS, default_brake, ideal, ordinary
+from hexservo.findings.diagnosis.model import (
+    Alone,
+    Case,
+    Cause,
+    Remedies,
+    Removal,
+    always,
+    has_devices,
+    removal_by,
+    removed_by,
+    same,
 )
-from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal, always, removed_by
 from hexservo.findings.diagnosis.remedies import (
     gravity_remedies,
     late_camera_remedies,
@@ -40,8 +47,8 @@ def _keys(*names: str) -> frozenset[str]:
 
 
 def _base_at_rest(case: Case) -> list[Removal]:
-    changes = {key: "none" for key in BASE_MOTIONS if value_at(case.scenario, key) != "none"}
-    return [Removal("a base at rest", changes)] if case.sampled and changes else []
+    moving = [key for key in BASE_MOTIONS if case.sampled and value_at(case.scenario, key) != "none"]
+    return removal_by("a base at rest", dict.fromkeys(moving, "none"))
 
 
 def _motion_alone(*kinds: str) -> Callable[[Case], list[Alone]]:
@@ -85,24 +92,13 @@ def _late_camera(case: Case) -> list[Removal]:
 
 
 def _lost_features(case: Case) -> list[Removal]:
-    camera = case.scenario.camera
-    changes: dict[str, Any] = {}
-    if camera.image_size is not None:
-        changes["camera.image_size"] = None
-    if camera.dropout:
-        changes["camera.dropout"] = 0.0
-    if camera.gate is not None:
-        changes["camera.gate"] = None
-    lost = case.sampled and changes
-    return [Removal("an image without border or gate, and no lost frames", changes)] if lost else []
+    none_lost = {"camera.image_size": None, "camera.dropout": 0.0, "camera.gate": None}
+    changes = {key: none for key, none in none_lost.items() if case.sampled and value_at(case.scenario, key) != none}
+    return removal_by("an image without border or gate, and no lost frames", changes)
 
 
 def _brake(case: Case) -> list[Removal]:
-    safe = case.scenario.controller.safe
-    changes = {f"controller.safe.{name}": None for name in type(safe).model_fields if getattr(safe, name) is not None}
-    if not case.sampled or not changes:
-        return []
-    return [Removal("the default gains of the brake", changes)]
+    return removal_by("the default gains of the brake", default_brake(case.scenario) if case.sampled else {})
 
 
 def _outliers(case: Case) -> list[Removal]:
@@ -145,10 +141,8 @@ def _gravity(case: Case) -> list[Removal]:
         changes["uncertainty.gravity"] = 0.0
     if case.scenario.has_unknown_payload:
         changes["robot.payload.known"] = True
-    if not changes:
-        return []
     words = "an exact estimate of the weight"
-    return [Removal(words if len(changes) == 1 else f"{words}, with the payload", changes)]
+    return removal_by(words if len(changes) == 1 else f"{words}, with the payload", changes)
 
 
 def _gravity_alone(case: Case) -> list[Alone]:
@@ -171,8 +165,8 @@ _CALIBRATION: dict[str, Any] = {
 
 
 def _calibration(case: Case) -> list[Removal]:
-    wrong = [key for key in _CALIBRATION if np.any(value_at(case.scenario, key))]
-    return [Removal("an exact calibration of the camera", {key: _CALIBRATION[key] for key in wrong})] if wrong else []
+    changes = {key: exact for key, exact in _CALIBRATION.items() if np.any(value_at(case.scenario, key))}
+    return removal_by("an exact calibration of the camera", changes)
 
 
 def _unequal_depth(case: Case) -> list[Removal]:
@@ -205,6 +199,21 @@ def _common_depth_alone(case: Case) -> list[Alone]:
     return [Alone({**without, "uncertainty.depth": 0.0}, {**without, "uncertainty.depth": mean})]
 
 
+def _fault(
+    key: str,
+    title: str,
+    setting: str,
+    none: object,
+    words: str,
+    remedies: Remedies = same,
+    *,
+    of: Callable[[Case], bool] = has_devices,
+    context: frozenset[str] = frozenset(),
+) -> Cause:
+    """Return a cause in one setting of a device, which has a value that stands for no fault (`removed_by`)."""
+    return Cause(key, title, _keys(setting), removed_by(setting, none, words, of=of), remedies, context)
+
+
 # ---- The list -------------------------------------------------------------------------------------------------------
 
 DEVICES: tuple[Cause, ...] = (
@@ -216,11 +225,12 @@ DEVICES: tuple[Cause, ...] = (
         removed_by("actuators.saturation", False, "legs without a force limit"),
         saturation_remedies,
     ),
-    Cause(
+    _fault(
         "image_timeout",
         "images that time out",
-        _keys("camera.timeout"),
-        removed_by("camera.timeout", None, "images without an age limit"),
+        "camera.timeout",
+        None,
+        "images without an age limit",
         context=_IMAGE | {"camera.dropout", "camera.image_size", "camera.on_lost"},
     ),
     Cause(
@@ -246,50 +256,51 @@ DEVICES: tuple[Cause, ...] = (
         outliers_remedies,
         context=_IMAGE,
     ),
-    Cause(
-        "pixel_noise",
-        "noise of the features",
-        _keys("camera.noise"),
-        removed_by("camera.noise", 0.0, "features without noise"),
-        context=_IMAGE,
-    ),
-    Cause(
+    _fault("pixel_noise", "noise of the features", "camera.noise", 0.0, "features without noise", context=_IMAGE),
+    _fault(
         "pixel_quantisation",
         "features that are rounded",
-        _keys("camera.quantisation"),
-        removed_by("camera.quantisation", 0.0, "features that are not rounded"),
+        "camera.quantisation",
+        0.0,
+        "features that are not rounded",
         context=_IMAGE,
     ),
-    Cause(
+    _fault(
         "image_smoothing",
         "image coordinates that are smoothed while the camera moves",
-        _keys("camera.smoothing"),
-        removed_by("camera.smoothing", 0.0, "image coordinates that are not smoothed"),
+        "camera.smoothing",
+        0.0,
+        "image coordinates that are not smoothed",
         slower_remedies,
         context=_IMAGE,
     ),
-    Cause(
+    _fault(
         "latency_error",
         "a latency that is assumed wrong",
-        _keys("uncertainty.latency"),
-        removed_by("uncertainty.latency", 0.0, "the latency that the camera has"),
+        "uncertainty.latency",
+        0.0,
+        "the latency that the camera has",
         context=_IMAGE,
     ),
-    Cause(
+    _fault(
         "encoder_noise",
         "noise of the encoders",
-        _keys("sensors.noise"),
-        removed_by("sensors.noise", 0.0, "encoders without noise", of=_with_encoders),
+        "sensors.noise",
+        0.0,
+        "encoders without noise",
         slower_remedies,
         context=_ENCODERS,
+        of=_with_encoders,
     ),
-    Cause(
+    _fault(
         "encoder_resolution",
         "resolution of the encoders",
-        _keys("sensors.resolution"),
-        removed_by("sensors.resolution", 0.0, "encoders with exact resolution", of=_with_encoders),
+        "sensors.resolution",
+        0.0,
+        "encoders with exact resolution",
         slower_remedies,
         context=_ENCODERS,
+        of=_with_encoders,
     ),
     Cause(
         "encoder_period",
@@ -300,32 +311,26 @@ DEVICES: tuple[Cause, ...] = (
         context=_ENCODERS - {"sensors.period"},
     ),
     Cause("encoders", "pose and twist from leg lengths", _keys("sensors.pose", "sensors.rate"), _encoders),
-    Cause(
-        "actuator_delay",
-        "delay of the actuators",
-        _keys("actuators.delay"),
-        removed_by("actuators.delay", 0.0, "actuators without delay"),
-        slower_remedies,
+    _fault(
+        "actuator_delay", "delay of the actuators", "actuators.delay", 0.0, "actuators without delay", slower_remedies
     ),
-    Cause(
-        "actuator_lag",
-        "lag of the actuators",
-        _keys("actuators.bandwidth"),
-        removed_by("actuators.bandwidth", None, "actuators without lag"),
-        slower_remedies,
+    _fault(
+        "actuator_lag", "lag of the actuators", "actuators.bandwidth", None, "actuators without lag", slower_remedies
     ),
     *DRIVES,
-    Cause(
+    _fault(
         "actuator_quantisation",
         "leg forces that are rounded",
-        _keys("actuators.quantisation"),
-        removed_by("actuators.quantisation", 0.0, "leg forces that are not rounded"),
+        "actuators.quantisation",
+        0.0,
+        "leg forces that are not rounded",
     ),
-    Cause(
+    _fault(
         "actuator_hold",
         "leg forces that are held while the legs rotate",
-        _keys("actuators.hold"),
-        removed_by("actuators.hold", "wrench", "a wrench that is held while the legs rotate"),
+        "actuators.hold",
+        "wrench",
+        "a wrench that is held while the legs rotate",
     ),
     Cause(
         "base_motion",
@@ -349,17 +354,14 @@ DEVICES: tuple[Cause, ...] = (
         gravity_remedies,
         alone=_gravity_alone,
     ),
-    Cause(
-        "inertia",
-        "a wrong inertia",
-        _keys("uncertainty.inertia"),
-        removed_by("uncertainty.inertia", 0.0, "an exact estimate of the inertia", of=always),
-    ),
-    Cause(
+    _fault("inertia", "a wrong inertia", "uncertainty.inertia", 0.0, "an exact estimate of the inertia", of=always),
+    _fault(
         "coriolis",
         "wrong Coriolis terms",
-        _keys("uncertainty.coriolis"),
-        removed_by("uncertainty.coriolis", 0.0, "an exact estimate of the Coriolis terms", of=always),
+        "uncertainty.coriolis",
+        0.0,
+        "an exact estimate of the Coriolis terms",
+        of=always,
     ),
     Cause(
         "calibration",

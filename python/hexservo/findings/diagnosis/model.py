@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
@@ -50,17 +50,23 @@ class Alone:
     first_decides: bool = False  # whether a first one that fails speaks against the cause; else it proves nothing
 
 
+def removal_by(words: str, changes: Changes) -> list[Removal]:
+    """Return the removal by some changes; none where nothing is to be changed."""
+    return [Removal(words, changes)] if changes else []
+
+
 def always(case: Case) -> bool:
     """Whether a case has what every scenario has."""
     return True
 
 
-def _samples(case: Case) -> bool:
+def has_devices(case: Case) -> bool:
+    """Whether the devices of a case act."""
     return case.sampled
 
 
 def removed_by(
-    key: str, none: object, words: str, *, of: Callable[[Case], bool] = _samples
+    key: str, none: object, words: str, *, of: Callable[[Case], bool] = has_devices
 ) -> Callable[[Case], list[Removal]]:
     """Return what removes a device's fault: its key set to the value that stands for no fault.
 
@@ -72,9 +78,12 @@ def removed_by(
 
     def removals(case: Case) -> list[Removal]:
         present = of(case) and not np.all(np.asarray(value_at(case.scenario, key)) == none)  # of arrays, every entry
-        return [Removal(words, {key: none})] if present else []
+        return removal_by(words, {key: none} if present else {})
 
     return removals
+
+
+Remedies: TypeAlias = Callable[[Case, Removal, Record], list[Removal]]
 
 
 def same(case: Case, removal: Removal, record: Record) -> list[Removal]:
@@ -94,9 +103,19 @@ class Cause:
     title: str
     keys: frozenset[str]  # keys of a scenario that belong to this cause; "LAW" stands for the law's own block
     removals: Callable[[Case], list[Removal]]  # empty: not present in the scenario
-    remedies: Callable[[Case, Removal, Record], list[Removal]] = (
-        same  # after the removal that helped most, with its run
-    )
+    remedies: Remedies = same  # after the removal that helped most, with its run
     context: frozenset[str] = field(default_factory=frozenset)  # keys on which the effect of these keys depends
     alone: Callable[[Case], list[Alone]] | None = None  # replaces the pairs that follow from kind, keys and context
     kind: Kind = "device"
+
+    def keys_in(self, scenario: Scenario) -> list[str]:
+        """Return the keys that belong to it, by their dotted names in a scenario."""
+        return _in_block(self.keys, scenario)
+
+    def context_in(self, scenario: Scenario) -> list[str]:
+        """Return the keys on which their effect depends, likewise."""
+        return _in_block(self.context, scenario)
+
+
+def _in_block(keys: Iterable[str], scenario: Scenario) -> list[str]:
+    return [key.replace("LAW", f"controller.{scenario.controller.law}") for key in keys]

@@ -249,8 +249,7 @@ def _ordinary_devices(case: Case) -> set[str]:
 def _unusual_causes(case: Case) -> set[str]:
     """Return the keys of the causes for which a scenario has settings that are not ordinary."""
     keys = unusual(case.scenario)
-    law = f"controller.{case.scenario.controller.law}"
-    return {cause.key for cause in CAUSES if any(key.replace("LAW", law) in keys for key in cause.keys)}
+    return {cause.key for cause in CAUSES if not keys.isdisjoint(cause.keys_in(case.scenario))}
 
 
 def _is_elsewhere(one: Study) -> bool:

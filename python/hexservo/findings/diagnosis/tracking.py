@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from hexservo.findings.diagnosis.environment import BASE_MOTIONS, ideal
-from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal
+from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal, removal_by
 from hexservo.findings.leg_feedback import feedback_margin, integral_margin
 from hexservo.scenario.keys import keys_below, value_at
 from hexservo.scenario.laws import Tracking
@@ -28,7 +28,7 @@ def _of_the_law(changes: Callable[[Case], Mapping[str, Any]], words: str) -> Cal
         if case.scenario.controller.law != _LAW:
             return []
         found = {key: value for key, value in changes(case).items() if value_at(case.scenario, key) != value}
-        return [Removal(words, found)] if found else []
+        return removal_by(words, found)
 
     return removals
 
