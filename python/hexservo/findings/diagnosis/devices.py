@@ -15,13 +15,11 @@ from hexservo.findings.diagnosis.model import (
     Alone,
     Case,
     Cause,
-    Remedies,
     Removal,
     always,
-    has_devices,
+    fault,
     removal_by,
     removed_by,
-    same,
 )
 from hexservo.findings.diagnosis.remedies import (
     gravity_remedies,
@@ -199,21 +197,6 @@ def _common_depth_alone(case: Case) -> list[Alone]:
     return [Alone({**without, "uncertainty.depth": 0.0}, {**without, "uncertainty.depth": mean})]
 
 
-def _fault(
-    key: str,
-    title: str,
-    setting: str,
-    none: object,
-    words: str,
-    remedies: Remedies = same,
-    *,
-    of: Callable[[Case], bool] = has_devices,
-    context: frozenset[str] = frozenset(),
-) -> Cause:
-    """Return a cause in one setting of a device, which has a value that stands for no fault (`removed_by`)."""
-    return Cause(key, title, _keys(setting), removed_by(setting, none, words, of=of), remedies, context)
-
-
 # ---- The list -------------------------------------------------------------------------------------------------------
 
 DEVICES: tuple[Cause, ...] = (
@@ -225,12 +208,10 @@ DEVICES: tuple[Cause, ...] = (
         removed_by("actuators.saturation", False, "legs without a force limit"),
         saturation_remedies,
     ),
-    _fault(
+    Cause(
         "image_timeout",
         "images that time out",
-        "camera.timeout",
-        None,
-        "images without an age limit",
+        *fault("camera.timeout", None, "images without an age limit"),
         context=_IMAGE | {"camera.dropout", "camera.image_size", "camera.on_lost"},
     ),
     Cause(
@@ -256,51 +237,41 @@ DEVICES: tuple[Cause, ...] = (
         outliers_remedies,
         context=_IMAGE,
     ),
-    _fault("pixel_noise", "noise of the features", "camera.noise", 0.0, "features without noise", context=_IMAGE),
-    _fault(
+    Cause(
+        "pixel_noise", "noise of the features", *fault("camera.noise", 0.0, "features without noise"), context=_IMAGE
+    ),
+    Cause(
         "pixel_quantisation",
         "features that are rounded",
-        "camera.quantisation",
-        0.0,
-        "features that are not rounded",
+        *fault("camera.quantisation", 0.0, "features that are not rounded"),
         context=_IMAGE,
     ),
-    _fault(
+    Cause(
         "image_smoothing",
         "image coordinates that are smoothed while the camera moves",
-        "camera.smoothing",
-        0.0,
-        "image coordinates that are not smoothed",
+        *fault("camera.smoothing", 0.0, "image coordinates that are not smoothed"),
         slower_remedies,
         context=_IMAGE,
     ),
-    _fault(
+    Cause(
         "latency_error",
         "a latency that is assumed wrong",
-        "uncertainty.latency",
-        0.0,
-        "the latency that the camera has",
+        *fault("uncertainty.latency", 0.0, "the latency that the camera has"),
         context=_IMAGE,
     ),
-    _fault(
+    Cause(
         "encoder_noise",
         "noise of the encoders",
-        "sensors.noise",
-        0.0,
-        "encoders without noise",
+        *fault("sensors.noise", 0.0, "encoders without noise", of=_with_encoders),
         slower_remedies,
         context=_ENCODERS,
-        of=_with_encoders,
     ),
-    _fault(
+    Cause(
         "encoder_resolution",
         "resolution of the encoders",
-        "sensors.resolution",
-        0.0,
-        "encoders with exact resolution",
+        *fault("sensors.resolution", 0.0, "encoders with exact resolution", of=_with_encoders),
         slower_remedies,
         context=_ENCODERS,
-        of=_with_encoders,
     ),
     Cause(
         "encoder_period",
@@ -311,26 +282,28 @@ DEVICES: tuple[Cause, ...] = (
         context=_ENCODERS - {"sensors.period"},
     ),
     Cause("encoders", "pose and twist from leg lengths", _keys("sensors.pose", "sensors.rate"), _encoders),
-    _fault(
-        "actuator_delay", "delay of the actuators", "actuators.delay", 0.0, "actuators without delay", slower_remedies
+    Cause(
+        "actuator_delay",
+        "delay of the actuators",
+        *fault("actuators.delay", 0.0, "actuators without delay"),
+        slower_remedies,
     ),
-    _fault(
-        "actuator_lag", "lag of the actuators", "actuators.bandwidth", None, "actuators without lag", slower_remedies
+    Cause(
+        "actuator_lag",
+        "lag of the actuators",
+        *fault("actuators.bandwidth", None, "actuators without lag"),
+        slower_remedies,
     ),
     *DRIVES,
-    _fault(
+    Cause(
         "actuator_quantisation",
         "leg forces that are rounded",
-        "actuators.quantisation",
-        0.0,
-        "leg forces that are not rounded",
+        *fault("actuators.quantisation", 0.0, "leg forces that are not rounded"),
     ),
-    _fault(
+    Cause(
         "actuator_hold",
         "leg forces that are held while the legs rotate",
-        "actuators.hold",
-        "wrench",
-        "a wrench that is held while the legs rotate",
+        *fault("actuators.hold", "wrench", "a wrench that is held while the legs rotate"),
     ),
     Cause(
         "base_motion",
@@ -354,14 +327,13 @@ DEVICES: tuple[Cause, ...] = (
         gravity_remedies,
         alone=_gravity_alone,
     ),
-    _fault("inertia", "a wrong inertia", "uncertainty.inertia", 0.0, "an exact estimate of the inertia", of=always),
-    _fault(
+    Cause(
+        "inertia", "a wrong inertia", *fault("uncertainty.inertia", 0.0, "an exact estimate of the inertia", of=always)
+    ),
+    Cause(
         "coriolis",
         "wrong Coriolis terms",
-        "uncertainty.coriolis",
-        0.0,
-        "an exact estimate of the Coriolis terms",
-        of=always,
+        *fault("uncertainty.coriolis", 0.0, "an exact estimate of the Coriolis terms", of=always),
     ),
     Cause(
         "calibration",

@@ -6,7 +6,7 @@ from typing import Any
 
 from hexservo.findings.diagnosis.criterion import Record
 from hexservo.findings.diagnosis.environment import ORDINARY_BANDWIDTH, ideal
-from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal, always, removal_by, removed_by
+from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal, always, fault, removal_by
 from hexservo.findings.diagnosis.remedies import motor_remedies, slower_remedies
 from hexservo.scenario.keys import keys_below
 
@@ -85,8 +85,7 @@ DRIVES: tuple[Cause, ...] = (
     Cause(
         "stick_slip",
         "dry friction of the legs, which stick and slip",
-        frozenset({_FRICTION}),
-        removed_by(_FRICTION, 0.0, "legs without dry friction", of=always),
+        *fault(_FRICTION, 0.0, "legs without dry friction", of=always),
         motor_remedies,
         alone=_friction_alone,
     ),

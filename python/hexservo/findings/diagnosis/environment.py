@@ -14,7 +14,7 @@ import numpy as np
 
 from hexservo import _core
 from hexservo.findings.diagnosis.gains import default_gains
-from hexservo.findings.diagnosis.model import Alone, Case, Cause, Changes, Removal
+from hexservo.findings.diagnosis.model import Alone, Case, Cause, Changes, Removal, in_scenario
 from hexservo.scenario.keys import default_of, keys_below, value_at
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.scenario import Scenario
@@ -163,8 +163,8 @@ def alone_pairs(cause: Cause, case: Case, removal: Removal) -> list[Alone]:
         return [Alone({**without, **removal.changes}, without, removal.stroke_counts)]
     if cause.kind == "law":
         without |= ordinary(scenario)
-    without = _less(without, cause.context_in(scenario))
-    return [Alone(without, _less(without, cause.keys_in(scenario)))]
+    without = _less(without, in_scenario(cause.context, scenario))
+    return [Alone(without, _less(without, in_scenario(cause.keys, scenario)))]
 
 
 def alone_at_its_gains(case: Case, name: str, power: float) -> list[Alone]:
@@ -192,7 +192,7 @@ def both_alone(first: Cause, second: Cause, case: Case) -> Alone:
     without = ideal(scenario)
     if "law" in (first.kind, second.kind):
         without |= ordinary(scenario)
-    own = [key for cause in (first, second) for key in cause.keys_in(scenario) + cause.context_in(scenario)]
+    own = in_scenario(first.keys | first.context | second.keys | second.context, scenario)
     return Alone(without, _less(without, own))
 
 

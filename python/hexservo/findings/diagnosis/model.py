@@ -50,6 +50,10 @@ class Alone:
     first_decides: bool = False  # whether a first one that fails speaks against the cause; else it proves nothing
 
 
+Removals: TypeAlias = Callable[[Case], list[Removal]]
+Remedies: TypeAlias = Callable[[Case, Removal, Record], list[Removal]]
+
+
 def removal_by(words: str, changes: Changes) -> list[Removal]:
     """Return the removal by some changes; none where nothing is to be changed."""
     return [Removal(words, changes)] if changes else []
@@ -60,14 +64,11 @@ def always(case: Case) -> bool:
     return True
 
 
-def has_devices(case: Case) -> bool:
-    """Whether the devices of a case act."""
+def _samples(case: Case) -> bool:
     return case.sampled
 
 
-def removed_by(
-    key: str, none: object, words: str, *, of: Callable[[Case], bool] = has_devices
-) -> Callable[[Case], list[Removal]]:
+def removed_by(key: str, none: object, words: str, *, of: Callable[[Case], bool] = _samples) -> Removals:
     """Return what removes a device's fault: its key set to the value that stands for no fault.
 
     Parameters
@@ -83,7 +84,9 @@ def removed_by(
     return removals
 
 
-Remedies: TypeAlias = Callable[[Case, Removal, Record], list[Removal]]
+def fault(key: str, none: object, words: str, of: Callable[[Case], bool] = _samples) -> tuple[frozenset[str], Removals]:
+    """Return the key of a fault in one setting, and what removes it (`removed_by`): two fields of its `Cause`."""
+    return frozenset({key}), removed_by(key, none, words, of=of)
 
 
 def same(case: Case, removal: Removal, record: Record) -> list[Removal]:
@@ -102,20 +105,13 @@ class Cause:
     key: str
     title: str
     keys: frozenset[str]  # keys of a scenario that belong to this cause; "LAW" stands for the law's own block
-    removals: Callable[[Case], list[Removal]]  # empty: not present in the scenario
+    removals: Removals  # empty: not present in the scenario
     remedies: Remedies = same  # after the removal that helped most, with its run
     context: frozenset[str] = field(default_factory=frozenset)  # keys on which the effect of these keys depends
     alone: Callable[[Case], list[Alone]] | None = None  # replaces the pairs that follow from kind, keys and context
     kind: Kind = "device"
 
-    def keys_in(self, scenario: Scenario) -> list[str]:
-        """Return the keys that belong to it, by their dotted names in a scenario."""
-        return _in_block(self.keys, scenario)
 
-    def context_in(self, scenario: Scenario) -> list[str]:
-        """Return the keys on which their effect depends, likewise."""
-        return _in_block(self.context, scenario)
-
-
-def _in_block(keys: Iterable[str], scenario: Scenario) -> list[str]:
+def in_scenario(keys: Iterable[str], scenario: Scenario) -> list[str]:
+    """Return keys of a cause by their dotted names in a scenario, where "LAW" is its law's own block."""
     return [key.replace("LAW", f"controller.{scenario.controller.law}") for key in keys]
