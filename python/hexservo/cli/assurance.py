@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import shlex
-import sys
 import time
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -13,15 +13,17 @@ import typer
 import hexservo as hs
 from hexservo.cli.print_sections import printed
 from hexservo.cli.terminal import (
-    INTERRUPTED,
     SettingsOption,
     changes_of,
     complain,
     errors_as_messages,
+    interrupted,
     no_dash,
+    path_option,
     refusals,
     show_parts,
     spell_time,
+    watched,
 )
 
 if TYPE_CHECKING:
@@ -31,7 +33,11 @@ if TYPE_CHECKING:
 
 _LONGEST_COMMAND = 400  # characters that are printed; a longer one has arrays, and the file holds them too
 NOT_FEASIBLE = 1
-PicturesOption = Annotated[
+_ThreadsOption = Annotated[
+    int | None, typer.Option("--threads", metavar="N", help="Threads to use.  [default: one for each core]")
+]
+_QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing.")]
+_PicturesOption = Annotated[
     bool, typer.Option("--pictures", help="The same, and every picture as SVG and PNG in a folder beside it.")
 ]
 _WORDS_OF_A_FILE = 3  # of a command that names one
@@ -44,16 +50,7 @@ def campaign(
             metavar="CAMPAIGN", callback=no_dash, help="Name of a packaged campaign, or path of a YAML file."
         ),
     ],
-    out: Annotated[
-        str,
-        typer.Option(
-            "--out",
-            "-o",
-            metavar="FOLDER",
-            callback=no_dash,
-            help="Keep the runs there: a new folder, or that of the same campaign.",
-        ),
-    ],
+    out: Annotated[str, path_option("Keep the runs there: a new folder, or that of the same campaign.")],
     runs: Annotated[
         int | None, typer.Option("--runs", metavar="N", help="Number of runs.  [default: that of the file]")
     ] = None,
@@ -61,9 +58,7 @@ def campaign(
         int | None,
         typer.Option("--chunk-size", metavar="N", help="Runs in a file of the folder.  [default: that of the file]"),
     ] = None,
-    threads: Annotated[
-        int | None, typer.Option("--threads", metavar="N", help="Threads to use.  [default: one for each core]")
-    ] = None,
+    threads: _ThreadsOption = None,
     engine: Annotated[
         str, typer.Option("--engine", help="local, dask (a local cluster), or tcp://host:port of a Dask scheduler.")
     ] = "local",
@@ -82,9 +77,9 @@ def campaign(
     report: Annotated[
         bool, typer.Option("--report", help="Write report.html into the folder too: the verdict with its pictures.")
     ] = False,
-    pictures: PicturesOption = False,
+    pictures: _PicturesOption = False,
     settings: SettingsOption = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing.")] = False,
+    quiet: _QuietOption = False,
 ) -> None:
     """Bound the probability that a scenario fails.
 
@@ -94,7 +89,6 @@ def campaign(
     """
     with errors_as_messages():
         changes = changes_of(settings or [])
-        watched = sys.stderr is not None and sys.stderr.isatty() and not quiet
         started = time.perf_counter()
         with refusals():  # of an option, as the number of threads
             result = hs.campaign(
@@ -106,8 +100,8 @@ def campaign(
                 threads=threads,
                 engine=engine,
                 store_on_workers=store_on_workers,
-                progress=watched,
-                warn=lambda sentence: complain(sentence, head="Warning"),
+                progress=watched() and not quiet,
+                warn=_warn,
             )
         if not quiet:
             show_parts(*_report(result, out, time.perf_counter() - started))
@@ -115,8 +109,7 @@ def campaign(
         if result.interrupted:
             planned = result.plan.runs
             of = "" if planned is None else f" of {planned}"
-            complain(f"{len(result)}{of} runs are kept; the same command goes on", head="Interrupted")
-            raise typer.Exit(INTERRUPTED)
+            interrupted(f"{len(result)}{of} runs are kept; the same command goes on")
         if worst:
             with refusals():  # nothing but seeds varies
                 case = hs.worst_case(result, threads=threads)
@@ -140,31 +133,20 @@ def tune(
     file: Annotated[
         str, typer.Argument(metavar="CAMPAIGN", callback=no_dash, help="Path of a campaign file with the block tune.")
     ],
-    out: Annotated[
-        str,
-        typer.Option(
-            "--out",
-            "-o",
-            metavar="FOLDER",
-            callback=no_dash,
-            help="Keep the search there: a new folder, or that of the same search.",
-        ),
-    ],
+    out: Annotated[str, path_option("Keep the search there: a new folder, or that of the same search.")],
     generations: Annotated[int, typer.Option("--generations", min=1, metavar="N", help="Of each round.")] = 40,
     rounds: Annotated[
         int, typer.Option("--rounds", min=1, metavar="N", help="At most; worst cases join the variations between them.")
     ] = 6,
     seed: Annotated[int, typer.Option("--seed", min=0, metavar="N", help="Of the search.")] = 0,
-    threads: Annotated[
-        int | None, typer.Option("--threads", metavar="N", help="Threads to use.  [default: one for each core]")
-    ] = None,
+    threads: _ThreadsOption = None,
     report: Annotated[
         bool,
         typer.Option("--report", help="Write held-out/report.html too: the held-out campaign, and the search."),
     ] = False,
-    pictures: PicturesOption = False,
+    pictures: _PicturesOption = False,
     settings: SettingsOption = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing.")] = False,
+    quiet: _QuietOption = False,
 ) -> None:
     """Search gains by their worst run.
 
@@ -176,7 +158,6 @@ def tune(
         from hexservo.campaigns.plan import load_plan
 
         plan = load_plan(file, changes_of(settings or []))
-        watched = sys.stderr is not None and sys.stderr.isatty() and not quiet
         try:
             with refusals(file):
                 found = hs.tune(
@@ -186,12 +167,11 @@ def tune(
                     rounds=rounds,
                     seed=seed,
                     threads=threads,
-                    progress=watched,
-                    warn=lambda sentence: complain(sentence, head="Warning"),
+                    progress=watched() and not quiet,
+                    warn=_warn,
                 )
         except KeyboardInterrupt:
-            complain("what was simulated is kept; the same command goes on", head="Interrupted")
-            raise typer.Exit(INTERRUPTED) from None
+            interrupted("what was simulated is kept; the same command goes on")
         if not quiet:
             show_parts(*printed([found.section()]), "", f"the gains: hexservo run {shlex.quote(str(found.path))}")
         if found.held_out is not None:
@@ -200,6 +180,9 @@ def tune(
             complain("no report, which is one of the held-out campaign; tuning.json has the course", head="Warning")
         if not found.feasible:
             raise typer.Exit(NOT_FEASIBLE)
+
+
+_warn = partial(complain, head="Warning")
 
 
 def _write_report(

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hexservo.cli.terminal import plain_table
 from hexservo.run.bench import FLOPS_PER_STEP, Benchmark, Distribution, Ratio, Speed, TickTiming
 from hexservo.scenario.wording import quantity
 
@@ -92,9 +93,7 @@ def spell(seconds: float) -> str:
 
 
 def _table(head: Iterable[str], rows: Iterable[tuple[str, ...]]) -> RenderableType:
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
+    table = plain_table(header_style="dim")
     for column, name in enumerate(head):
         table.add_column(name, justify="left" if column == 0 else "right", overflow="fold")
     for row in rows:

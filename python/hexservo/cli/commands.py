@@ -19,8 +19,7 @@ import typer
 import hexservo as hs
 from hexservo.cli import assurance, evidence, explore, export, identify, keys, machine, terminal
 from hexservo.cli.terminal import (
-    ENDED_EARLY,
-    INTERRUPTED,
+    GAP,
     NOT_SETTLED,
     CameraOption,
     ForceOption,
@@ -30,15 +29,20 @@ from hexservo.cli.terminal import (
     complain,
     ending,
     errors_as_messages,
+    exit_as,
     expanded,
+    interrupted,
     load,
-    no_dash,
+    path_option,
+    plain_table,
     refusals,
     show_parts,
     spell_time,
     split,
+    watched,
     whisper,
     write,
+    write_then_show,
 )
 from hexservo.scenario.laws import LAWS
 
@@ -46,7 +50,6 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
 _ALL = "all"  # laws that the core has for any machine, and those that a scenario has
-_GAP = 2  # between two columns of a table
 _WIDTH_FOR_MEANINGS = 72  # in a narrower terminal the table has no meanings of the metrics
 
 app = typer.Typer(
@@ -86,16 +89,7 @@ def _options(
 @app.command()
 def run(
     scenario: ScenarioArgument,
-    out: Annotated[
-        str | None,
-        typer.Option(
-            "--out",
-            "-o",
-            metavar="FOLDER",
-            callback=no_dash,
-            help="Write figures and data there, into a new or empty folder.",
-        ),
-    ] = None,
+    out: Annotated[str | None, path_option("Write figures and data there, into a new or empty folder.")] = None,
     settings: SettingsOption = None,
     camera: CameraOption = None,
     force: ForceOption = False,
@@ -110,7 +104,6 @@ def run(
         from hexservo.cli.output import write_results
         from hexservo.run.files import check_folder, has_results
         from hexservo.run.metrics import unsettled
-        from hexservo.run.publish import OutputError
 
         chosen = load(scenario, settings or [], camera)
         if out is not None:
@@ -119,21 +112,14 @@ def run(
         with refusals(chosen.name):
             result = hs.simulate(chosen)
         elapsed = time.perf_counter() - started
-        failure = None
         kept = out is not None and result.outcome == "interrupted" and has_results(out)
-        if out is not None and not kept:  # before anything is printed, so that results are not lost to a broken pipe
-            try:
-                write_results(result, out, force=force)
-            except OutputError as error:
-                failure = error
-        if not quiet:
-            written = out if failure is None and not kept else None
-            show_parts(*_report(result, elapsed, written, hint=out is None))
-        if failure is not None:
-            raise failure
-        if result.outcome != "completed":
-            complain(f"{chosen.name}: {ending(result)}{_kept(out) if kept else ''}", head="Ended early")
-            raise typer.Exit(INTERRUPTED if result.outcome == "interrupted" else ENDED_EARLY)
+
+        def show(written: str | None) -> None:
+            if not quiet:
+                show_parts(*_report(result, elapsed, written, hint=out is None))
+
+        write_then_show(None if kept else out, lambda folder: write_results(result, folder, force=force), show)
+        exit_as(result, _kept(out) if kept else "")
         if require_settled and math.isnan(hs.metrics(result)["settling_time"]):
             complain(f"{chosen.name}: {unsettled(hs.metrics(result), chosen.metrics)}", head="Not settled")
             raise typer.Exit(NOT_SETTLED)
@@ -159,10 +145,7 @@ def compare(
     ] = _ALL,
     settings: SettingsOption = None,
     camera: CameraOption = None,
-    out: Annotated[
-        str | None,
-        typer.Option("--out", "-o", metavar="FOLDER", callback=no_dash, help="Write tables and a page of plots there."),
-    ] = None,
+    out: Annotated[str | None, path_option("Write tables and a page of plots there.")] = None,
     force: ForceOption = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print no table.")] = False,
     require_settled: RequireSettledOption = False,
@@ -174,37 +157,28 @@ def compare(
     """
     with errors_as_messages():
         from hexservo.run.files import check_folder, has_results
-        from hexservo.run.publish import OutputError
 
         names, chosen_laws = expanded(scenarios), None if laws == _ALL else split(laws)
-        watched = sys.stderr is not None and sys.stderr.isatty()
         try:
             chosen = [load(name, settings or [], camera) for name in names]
             if out is not None:
                 check_folder(out, force=force)
             started = time.perf_counter()
             with refusals():  # of the choice, as an unknown law
-                comparison = hs.compare(chosen, chosen_laws, progress=watched)
+                comparison = hs.compare(chosen, chosen_laws, progress=watched())
         except KeyboardInterrupt:  # before the first run
-            complain(f"0 of {len(names) * len(chosen_laws or LAWS)} runs were finished", head="Interrupted")
-            raise typer.Exit(INTERRUPTED) from None
+            interrupted(f"0 of {len(names) * len(chosen_laws or LAWS)} runs were finished")
         elapsed = time.perf_counter() - started
-        failure = None
         kept = out is not None and comparison.interrupted and has_results(out)
-        if out is not None and not kept:
-            try:
-                comparison.write(out, force=force)
-            except OutputError as error:
-                failure = error
-        if not quiet:
-            written = out if failure is None and not kept else None
-            show_parts(*_comparison_report(comparison, elapsed, written, hint=out is None))
-        if failure is not None:
-            raise failure
+
+        def show(written: str | None) -> None:
+            if not quiet:
+                show_parts(*_comparison_report(comparison, elapsed, written, hint=out is None))
+
+        write_then_show(None if kept else out, lambda folder: comparison.write(folder, force=force), show)
         if comparison.interrupted:
             finished = f"{comparison.finished} of {len(comparison.rows)} runs were finished"
-            complain(f"{finished}{_kept(out) if kept else ''}", head="Interrupted")
-            raise typer.Exit(INTERRUPTED)
+            interrupted(f"{finished}{_kept(out) if kept else ''}")
         unsettled = sum(not row.settled for row in comparison.rows)
         if require_settled and unsettled:
             complain(f"{unsettled} of {len(comparison.rows)} runs", head="Not settled")
@@ -288,10 +262,7 @@ def check(
 
 @app.command()
 def bench(
-    out: Annotated[
-        str | None,
-        typer.Option("--out", "-o", metavar="FOLDER", callback=no_dash, help="Write bench.json and a picture there."),
-    ] = None,
+    out: Annotated[str | None, path_option("Write bench.json and a picture there.")] = None,
     force: ForceOption = False,
     quick: Annotated[bool, typer.Option("--quick", help="A rougher measurement, in less than 15 s.")] = False,
     ticks: Annotated[
@@ -316,22 +287,19 @@ def bench(
         from hexservo.cli.bench import report, write_benchmark
         from hexservo.run.bench import QUICK, Plan, benchmark
         from hexservo.run.files import check_folder, write_folder
-        from hexservo.run.publish import OutputError
 
         plan = replace(QUICK if quick else Plan(), realtime=realtime)
         plan = replace(plan, ticks=ticks or plan.ticks, seconds=seconds or plan.seconds)
         if out is not None:
             check_folder(out, force=force)
         result = benchmark(plan, whisper)
-        failure = None
-        if out is not None:
-            try:
-                write_folder(out, lambda folder: write_benchmark(result, folder), "a benchmark", force=force)
-            except OutputError as error:
-                failure = error
-        show_parts(*report(result))
-        if failure is not None:
-            raise failure
+        write_then_show(
+            out,
+            lambda named: write_folder(
+                named, lambda folder: write_benchmark(result, folder), "a benchmark", force=force
+            ),
+            lambda _: show_parts(*report(result)),
+        )
         if out is not None:
             write(f"bench.json, bench.png and bench.svg are in {out}\n")
 
@@ -377,12 +345,10 @@ def _report(result: hs.Result, elapsed: float, folder: str | None, *, hint: bool
 
 
 def _metrics_table(result: hs.Result) -> RenderableType:
-    from rich.table import Table
-
     from hexservo.run.metrics import readable, shown_metrics
 
     with_meanings = terminal.width() >= _WIDTH_FOR_MEANINGS
-    table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
+    table = plain_table(show_header=False)
     table.add_column(overflow="fold")
     table.add_column(justify="right", overflow="fold", style="bold")
     table.add_column(overflow="fold")
@@ -420,7 +386,7 @@ def _comparison_tables(comparison: hs.Comparison) -> Iterator[RenderableType]:
     from hexservo.run.comparison import COLUMNS, column_texts
 
     labels = [("scenario", "law", "verdict"), *((row.scenario.name, row.law, row.verdict) for row in comparison.rows)]
-    left = [max(map(len, texts)) + _GAP for texts in zip(*labels, strict=True)]
+    left = [max(map(len, texts)) + GAP for texts in zip(*labels, strict=True)]
     columns = []
     for column in COLUMNS:
         unit, texts = column_texts(comparison.rows, column)
@@ -428,10 +394,10 @@ def _comparison_tables(comparison: hs.Comparison) -> Iterator[RenderableType]:
     parts: list[list[list[str]]] = []
     room = -1
     for cells in columns:
-        needs = max(map(len, cells)) + _GAP
+        needs = max(map(len, cells)) + GAP
         if needs > room:
             parts.append([])
-            room = terminal.width() + _GAP - sum(left if len(parts) == 1 else left[:2])  # the verdict only once
+            room = terminal.width() + GAP - sum(left if len(parts) == 1 else left[:2])  # the verdict only once
         if needs > room:
             yield _comparison_list(comparison)
             return
@@ -443,10 +409,9 @@ def _comparison_tables(comparison: hs.Comparison) -> Iterator[RenderableType]:
 
 def _comparison_table(comparison: hs.Comparison, columns: list[list[str]], *, verdict: bool) -> RenderableType:
     """Return a table of columns, each of its head, its unit and a text for each row."""
-    from rich.table import Table
     from rich.text import Text
 
-    table = Table(box=None, pad_edge=False, padding=(0, _GAP, 0, 0), header_style="bold")
+    table = plain_table(header_style="bold")
     for head in ("scenario", "law", *(["verdict"] if verdict else [])):
         table.add_column(head, no_wrap=True)
     for head, unit, *_ in columns:

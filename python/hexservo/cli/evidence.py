@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import shlex
-import sys
 import time
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,18 +12,18 @@ import typer
 
 import hexservo as hs
 from hexservo.cli.terminal import (
-    ENDED_EARLY,
-    INTERRUPTED,
     CameraOption,
     SettingsOption,
     complain,
-    ending,
     errors_as_messages,
+    exit_as,
+    interrupted,
     load,
-    no_dash,
+    path_option,
     refusals,
     show_parts,
     spell_time,
+    watched,
     write,
 )
 
@@ -54,9 +53,7 @@ ForceOption = Annotated[bool, typer.Option("--force", "-f", help="Replace a file
 
 def report(
     run: _RunArgument,
-    out: Annotated[
-        str, typer.Option("--out", "-o", metavar="FILE", callback=no_dash, help="HTML file to write, a new one.")
-    ],
+    out: Annotated[str, path_option("HTML file to write, a new one.", "FILE")],
     settings: SettingsOption = None,
     camera: CameraOption = None,
     force: ForceOption = False,
@@ -74,7 +71,7 @@ def report(
         result = _result(run, settings or [], camera)
         write_report(result, out, force=force)
         write(f"{out}: report of {result.scenario.name}, made in {spell_time(time.perf_counter() - started)}\n")
-        _exit_as(result)
+        exit_as(result)
 
 
 def certify(
@@ -158,7 +155,7 @@ def _judge(
         if json != STANDARD_OUTPUT:
             show_parts(*printed(found.sections()))
         if isinstance(of, hs.Result):
-            _exit_as(of)
+            exit_as(of)
 
 
 # ---- Input ----------------------------------------------------------------------------------------------------------
@@ -204,23 +201,14 @@ def _is_saved(run: str, settings: list[str], camera: str | None) -> bool:
     return saved
 
 
-def _exit_as(result: hs.Result) -> None:
-    """Exit as `hexservo run` does for the same run."""
-    if result.outcome != "completed":
-        complain(f"{result.scenario.name}: {ending(result)}", head="Ended early")
-        raise typer.Exit(INTERRUPTED if result.outcome == "interrupted" else ENDED_EARLY)
-
-
 def identified(
     log: str, machine: str, settings: list[str] | None, camera: str | None, *, motors: bool = False
 ) -> hs.Identification:
     """Identify a log with a bar on a terminal; Ctrl-C ends the command."""
     try:
-        watched = sys.stderr is not None and sys.stderr.isatty()
-        return hs.identify(log, load(machine, settings or [], camera), motors=motors, progress=watched)
+        return hs.identify(log, load(machine, settings or [], camera), motors=motors, progress=watched())
     except KeyboardInterrupt:
-        complain("nothing was written", head="Interrupted")
-        raise typer.Exit(INTERRUPTED) from None
+        interrupted("nothing was written")
 
 
 # ---- JSON -----------------------------------------------------------------------------------------------------------

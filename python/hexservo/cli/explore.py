@@ -11,34 +11,21 @@ import hexservo as hs
 from hexservo.cli.terminal import (
     BAD_INPUT,
     CameraOption,
+    ScenarioArgument,
     SettingsOption,
     complain,
     errors_as_messages,
     load,
-    no_dash,
+    path_option,
     write,
 )
 
 
 def explore(
-    scenario: Annotated[
-        str,
-        typer.Argument(
-            metavar="SCENARIO", help='Name of a packaged scenario, path of a YAML file, or "-" for standard input.'
-        ),
-    ] = "paper",
+    scenario: ScenarioArgument = "paper",
     settings: SettingsOption = None,
     camera: CameraOption = None,
-    out: Annotated[
-        str | None,
-        typer.Option(
-            "--out",
-            "-o",
-            metavar="FILE",
-            callback=no_dash,
-            help="Write the page there.  [default: a new temporary file]",
-        ),
-    ] = None,
+    out: Annotated[str | None, path_option("Write the page there.  [default: a new temporary file]", "FILE")] = None,
     force: Annotated[bool, typer.Option("--force", "-f", help="Replace the page of an earlier explore.")] = False,
     no_open: Annotated[bool, typer.Option("--no-open", help="Write the page and open no browser.")] = False,
 ) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Annotated
 
 import typer
@@ -15,7 +13,8 @@ from hexservo.cli.terminal import (
     SettingsOption,
     errors_as_messages,
     load,
-    no_dash,
+    path_option,
+    refusals,
     write,
 )
 
@@ -25,22 +24,13 @@ _AUTHOR = "hexservo export"
 def export(
     scenario: ScenarioArgument,
     header: Annotated[
-        str | None,
-        typer.Option(
-            "--header", metavar="FILE", callback=no_dash, help="C++ header with the gains to write, a new file."
-        ),
+        str | None, path_option("C++ header with the gains to write, a new file.", "FILE", ("--header",))
     ] = None,
     mjcf: Annotated[
-        str | None,
-        typer.Option(
-            "--mjcf", metavar="FILE", callback=no_dash, help="MuJoCo model of the machine to write, a new file."
-        ),
+        str | None, path_option("MuJoCo model of the machine to write, a new file.", "FILE", ("--mjcf",))
     ] = None,
     fmu: Annotated[
-        str | None,
-        typer.Option(
-            "--fmu", metavar="FILE", callback=no_dash, help="Unit for co-simulation (FMI) to write, a new file."
-        ),
+        str | None, path_option("Unit for co-simulation (FMI) to write, a new file.", "FILE", ("--fmu",))
     ] = None,
     fmi: Annotated[
         int | None, typer.Option("--fmi", min=2, max=3, help="With --fmu: version of the standard.  [default: 2]")
@@ -86,20 +76,11 @@ def export(
             write(_fmu(chosen, str(fmu), fmi or 2, what or "loop", force))
 
 
-@contextmanager
-def _refusals() -> Iterator[None]:
-    """Turn what an export refuses into a message."""
-    try:
-        yield
-    except (ValueError, FileNotFoundError) as error:
-        raise hs.ScenarioError(str(error).splitlines()) from error
-
-
 def _header(scenario: hs.Scenario, file: str, period: float | None, force: bool) -> str:
     from hexservo.run.export import TITLE, gains_header
     from hexservo.run.files import write_file
 
-    with _refusals():
+    with refusals():
         text = gains_header(scenario, period)
     write_file(text, file, TITLE, _AUTHOR, force=force)
     ticks = scenario.simulation.step if period is None else period
@@ -118,7 +99,7 @@ def _mjcf(scenario: hs.Scenario, file: str, force: bool) -> str:
     from hexservo.bridges.mujoco_model import TITLE, mjcf
     from hexservo.run.files import write_file
 
-    with _refusals():
+    with refusals():
         text = mjcf(scenario)
     write_file(text, file, TITLE, _AUTHOR, force=force)
     return f'{file}: machine, camera and target of the scenario "{scenario.name}" for MuJoCo\n'
@@ -128,7 +109,7 @@ def _fmu(scenario: hs.Scenario, file: str, fmi: int, what: str, force: bool) -> 
     from hexservo.bridges.fmi import fmu, is_unit
     from hexservo.run.files import write_file
 
-    with _refusals():
+    with refusals(of=(ValueError, FileNotFoundError)):
         content = fmu(scenario, fmi=fmi, what=what)  # type: ignore[arg-type]
     write_file(content, file, is_unit, _AUTHOR, force=force)
     first = f'{file}: {what} of the scenario "{scenario.name}" as a unit of FMI {fmi}.0\n'

@@ -7,7 +7,15 @@ from typing import Annotated
 import typer
 
 from hexservo.cli.evidence import STANDARD_OUTPUT, ForceOption, JsonOption, check_json, identified, write_json
-from hexservo.cli.terminal import CameraOption, SettingsOption, errors_as_messages, no_dash, show_parts, write
+from hexservo.cli.terminal import (
+    CameraOption,
+    SettingsOption,
+    errors_as_messages,
+    no_dash,
+    path_option,
+    show_parts,
+    write,
+)
 
 _TITLE = "# A scenario by `hexservo identify`"
 
@@ -22,9 +30,7 @@ def identify(
     machine: Annotated[
         str, typer.Option("--machine", "-m", metavar="SCENARIO", help="The machine: name or path of a scenario.")
     ],
-    out: Annotated[
-        str | None, typer.Option("--out", "-o", metavar="FILE", callback=no_dash, help="Write the scenario there.")
-    ] = None,
+    out: Annotated[str | None, path_option("Write the scenario there.", "FILE")] = None,
     motors: Annotated[
         bool, typer.Option("--motors", help="Also fit stiffness, damping, friction and armature of the motors.")
     ] = False,

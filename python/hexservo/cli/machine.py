@@ -14,7 +14,7 @@ import typer
 import hexservo as hs
 from hexservo.cli.dialogue import Check, Dialogue, one_number
 from hexservo.cli.parts import require_hold, shows_middle
-from hexservo.cli.terminal import INTERRUPTED, complain, errors_as_messages, write
+from hexservo.cli.terminal import complain, errors_as_messages, interrupted, write
 from hexservo.scenario.blocks import Metrics
 from hexservo.scenario.laws import GENERAL_LAW
 from hexservo.scenario.rules import LEAST_POINTS, MOST_POINTS, Name
@@ -64,8 +64,7 @@ def new(
         except (EOFError, typer.Abort):
             raise hs.ScenarioError(["expected an answer to every question, got the end of standard input"]) from None
         except KeyboardInterrupt:
-            complain(f"{machine} was not written", head="Interrupted")
-            raise typer.Exit(INTERRUPTED) from None
+            interrupted(f"{machine} was not written")
         write_file(text, machine, _TITLE, "`hexservo new`", force=force)
         quoted = shlex.quote(machine)
         commands = f"hexservo check {quoted}\n  hexservo report {quoted} --out {shlex.quote(f'{name}.html')}"

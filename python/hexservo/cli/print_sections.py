@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hexservo.cli.terminal import width
+from hexservo.cli.terminal import GAP, plain_table, width
 from hexservo.findings.evidence import Item, Section, Table
 from hexservo.findings.wording import VERDICTS, cell_text, numeric_columns
 
@@ -65,7 +65,7 @@ def _least_width(item: Table) -> int:
             strict=True,
         )
     ]
-    return sum(least) + 2 * (len(least) - 1)
+    return sum(least) + GAP * (len(least) - 1)
 
 
 def _listed(item: Table) -> RenderableType:
@@ -85,10 +85,9 @@ def _listed(item: Table) -> RenderableType:
 
 
 def _table(item: Table) -> RenderableType:
-    from rich.table import Table as RichTable
     from rich.text import Text
 
-    table = RichTable(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="bold")
+    table = plain_table(header_style="bold")
     for column, is_numeric in zip(item.columns, numeric_columns(item), strict=True):
         head = f"{column.title}\n[{column.unit}]" if column.unit else column.title
         table.add_column(Text(head), justify="right" if is_numeric else "left", overflow="fold")

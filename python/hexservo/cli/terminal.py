@@ -6,8 +6,8 @@ import contextlib
 import io
 import os
 import sys
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Annotated, NoReturn
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
@@ -16,6 +16,7 @@ from hexservo.scenario.block import SAMPLED_MODE
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
+    from rich.table import Table
 
     from hexservo.scenario.scenario import Document
 
@@ -26,6 +27,7 @@ INTERRUPTED = 130  # 128 + SIGINT, as shells count
 READER_LEFT = 141  # 128 + SIGPIPE
 
 _ANY_WIDTH = 10_000  # for files and pipes: lines are not wrapped or cut
+GAP = 2  # between two columns of a table
 _HEIGHT = 25  # lines, which cut nothing; without them rich takes 80 columns for the width where TERM is dumb
 
 
@@ -36,6 +38,11 @@ def no_dash(parameter: typer.CallbackParam, value: str | None) -> str | None:
         with errors_as_messages():
             raise hs.ScenarioError([f'{name}: expected a path, got "-"; one of that name is "./-"'])
     return value
+
+
+def path_option(meaning: str, metavar: str = "FOLDER", names: tuple[str, ...] = ("--out", "-o")) -> Any:
+    """Return an option that is a file or a folder."""
+    return typer.Option(*names, metavar=metavar, callback=no_dash, help=meaning)
 
 
 ScenarioArgument = Annotated[
@@ -49,11 +56,10 @@ RequireSettledOption = Annotated[
 ]
 CameraOption = Annotated[
     str | None,
-    typer.Option(
-        "--camera",
-        callback=no_dash,
-        metavar="FILE",
-        help="Take the camera's intrinsics from a calibration file of OpenCV (YAML); target features are its pixels.",
+    path_option(
+        "Take the camera's intrinsics from a calibration file of OpenCV (YAML); target features are its pixels.",
+        "FILE",
+        ("--camera",),
     ),
 ]
 ForceOption = Annotated[
@@ -183,12 +189,26 @@ def errors_as_messages() -> Iterator[None]:
         complain(*str(error).splitlines())
         raise typer.Exit(BAD_INPUT) from None
     except KeyboardInterrupt:
-        complain("no further files were written", head="Interrupted")
-        raise typer.Exit(INTERRUPTED) from None
+        interrupted("no further files were written")
+
+
+def interrupted(consequence: str) -> NoReturn:
+    """Exit after Ctrl-C."""
+    complain(consequence, head="Interrupted")
+    raise typer.Exit(INTERRUPTED) from None
+
+
+def exit_as(result: hs.Result, consequence: str = "") -> None:
+    """Exit where a run ended early; `consequence` follows its outcome."""
+    if result.outcome != "completed":
+        complain(f"{result.scenario.name}: {ending(result)}{consequence}", head="Ended early")
+        raise typer.Exit(INTERRUPTED if result.outcome == "interrupted" else ENDED_EARLY)
 
 
 @contextlib.contextmanager
-def refusals(source: str | None = None) -> Iterator[None]:
+def refusals(
+    source: str | None = None, of: type[Exception] | tuple[type[Exception], ...] = ValueError
+) -> Iterator[None]:
     """Convert a ValueError, as of an option, to bad input of a source; what already is one of the messages stays."""
     from hexservo.run.publish import OutputError
 
@@ -196,7 +216,7 @@ def refusals(source: str | None = None) -> Iterator[None]:
         yield
     except (hs.ScenarioError, hs.ResultError, OutputError):
         raise
-    except ValueError as error:
+    except of as error:
         raise hs.ScenarioError(str(error).splitlines(), source) from error
 
 
@@ -217,6 +237,13 @@ def width() -> int:
     import shutil
 
     return shutil.get_terminal_size().columns if sys.stdout is not None and sys.stdout.isatty() else _ANY_WIDTH
+
+
+def plain_table(**options: Any) -> Table:
+    """Return a table without lines, to be filled."""
+    from rich.table import Table
+
+    return Table(box=None, pad_edge=False, padding=(0, GAP, 0, 0), **options)
 
 
 def show_parts(*parts: RenderableType) -> None:
@@ -257,9 +284,32 @@ def write(text: str, encoding: str | None = None) -> None:
         _give_up_output(BAD_INPUT)
 
 
+def write_then_show(out: str | None, write_into: Callable[[str], object], show: Callable[[str | None], None]) -> None:
+    """Write results into a folder, if one is named, then show them and where they are, and last what kept them away.
+
+    Nothing is shown before, so that results are not lost to a broken pipe.
+    """
+    from hexservo.run.publish import OutputError
+
+    failure = None
+    if out is not None:
+        try:
+            write_into(out)
+        except OutputError as error:
+            failure = error
+    show(None if failure is not None else out)
+    if failure is not None:
+        raise failure
+
+
+def watched() -> bool:
+    """Return whether standard error is a terminal, where a user sees how far a command has come."""
+    return sys.stderr is not None and sys.stderr.isatty()
+
+
 def whisper(text: str) -> None:
     """Print the current activity, on terminals only."""
-    if sys.stderr is not None and sys.stderr.isatty():
+    if watched():
         print(f"measuring: {text}", file=sys.stderr, flush=True)
 
 

@@ -317,10 +317,14 @@ def _uses_exposures(scenario: Scenario) -> bool:
     return predicts(scenario) or scenario.camera.timeout is not None or scenario.controller.law not in LAWS
 
 
-def _of_law(law: str) -> _Condition:
+def _with(keys: Iterable[str], setting: str, value: str) -> _Condition:
     return _Condition(
-        (f"controller.{law}",), lambda scenario: scenario.controller.law == law, f"only with controller.law: {law}"
+        tuple(keys), lambda scenario: value_at(scenario, setting) == value, f"only with {setting}: {value}"
     )
+
+
+def _above_zero(key: str, setting: str) -> _Condition:
+    return _Condition((key,), lambda scenario: value_at(scenario, setting) > 0, f"only with {setting} above 0")
 
 
 def _of_fuzzy(law: str) -> _Condition:
@@ -367,35 +371,19 @@ def _of_adaptive_gain(law: str) -> _Condition:
 
 
 def _of_motion(block: str, keys: str, kind: str) -> _Condition:
-    return _Condition(
-        tuple(f"{block}.{key}" for key in keys.split()),
-        lambda scenario: value_at(scenario, f"{block}.kind") == kind,
-        f"only with {block}.kind: {kind}",
-    )
+    return _with((f"{block}.{key}" for key in keys.split()), f"{block}.kind", kind)
 
 
 _CONDITIONS = (
-    *map(_of_law, ALL_LAWS),
+    *(_with((f"controller.{law}",), "controller.law", law) for law in ALL_LAWS),
     *map(_of_fuzzy, laws_with("memory")),
     *(condition for law in ALL_LAWS for condition in _of_auto(law)),
     *(_of_adaptive_gain(law) for law in ALL_LAWS if hasattr(getattr(Controller(), law), "adaptive")),
     _Condition(("controller.switching.kind",), _switches, f"only with the laws {' and '.join(laws_with('switching'))}"),
     _Condition(("controller.switching.width",), _has_slope, "only where the switching term is tanh or saturation"),
-    _Condition(
-        ("robot.payload.known",),
-        lambda scenario: scenario.robot.payload.mass > 0,
-        "only with robot.payload.mass above 0",
-    ),
-    _Condition(
-        ("camera.outlier_size",),
-        lambda scenario: scenario.camera.outlier_probability > 0,
-        "only with camera.outlier_probability above 0",
-    ),
-    _Condition(
-        ("camera.outlier_probability",),
-        lambda scenario: scenario.camera.outlier_size > 0,
-        "only with camera.outlier_size above 0",
-    ),
+    _above_zero("robot.payload.known", "robot.payload.mass"),
+    _above_zero("camera.outlier_size", "camera.outlier_probability"),
+    _above_zero("camera.outlier_probability", "camera.outlier_size"),
     _Condition(
         ("uncertainty.latency",),
         _uses_exposures,
@@ -410,11 +398,7 @@ _CONDITIONS = (
         "only with camera.image_size or an acting camera.gate",
     ),
     _Condition(("camera.gate",), predicts, "only with camera.prediction: encoder or camera.on_lost: predict"),
-    _Condition(
-        tuple(f"sensors.{key}" for key in ("rate", "resolution", "noise", "period")),
-        lambda scenario: scenario.sensors.pose == "encoders",
-        "only with sensors.pose: encoders",
-    ),
+    _with((f"sensors.{key}" for key in ("rate", "resolution", "noise", "period")), "sensors.pose", "encoders"),
     _of_motion("base_motion", "amplitude frequency phase", "sinusoid"),
     _of_motion("base_motion", "level low_frequency high_frequency", "noise"),
     _of_motion("base_motion", "samples attitudes sample_period", "recorded"),

@@ -11,7 +11,7 @@ from hexservo import _core
 from hexservo.findings.analysis.reach import nearest_limit
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.coupling import settling_ratio
-from hexservo.findings.leg_feedback import feedback_margin, integral_margin
+from hexservo.findings.leg_feedback import OF_MARGIN, feedback_margin, integral_margin
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.fitted import Machine, auto_of, chosen_keys, fitted_keys, machine_of
@@ -27,7 +27,6 @@ _OF_RUN = 0.1  # periods of the bandwidth that a run must have at least
 _SLOW = 0.5  # of the bandwidth: motions below it are slow
 _LEFT = 0.02  # share of the image error that may be slow, or stay
 _TURNED = 0.9  # share of rotations in the common motion of the features
-_OF_MARGIN = 0.5  # share of its gain margin that a feedback may have: 6 dB are left
 _OF_NOISE = 4.0  # deviations of the camera's noise that a jump must be of: six coordinates reach it in 1 of 2600 frames
 _COORDINATES = 6  # of a target's pose
 _COUPLED = 0.85, 1.2  # least and most of the time to settle, over that without products of the inertia
@@ -93,7 +92,7 @@ def _of_feedback(scenario: Scenario, law: str) -> Iterator[str]:
         key = f"controller.{law}.{name}"
         own = value_at(scenario, key)
         most = margin(scenario) if own > 0.0 else math.inf
-        if own > _OF_MARGIN * most * _ROUNDING and most > 0.0:  # 0: the feedback alone is too much
+        if own > OF_MARGIN * most * _ROUNDING and most > 0.0:  # 0: the feedback alone is too much
             yield (
                 f"{key}: {number(own)} is more than half of {number(most)}, with which legs of this response oscillate"
             )

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from hexservo.findings.diagnosis.causes import CAUSES
 from hexservo.findings.diagnosis.criterion import Judgement, Record
-from hexservo.findings.diagnosis.evidence import OF_THE_SCENARIO, SIGNATURES, Signature
+from hexservo.findings.diagnosis.evidence import OF_THE_SCENARIO, Signature, signature_of
 from hexservo.findings.diagnosis.findings import Diagnosis, Finding, Remedy
 from hexservo.findings.diagnosis.model import Case, Removal
 from hexservo.findings.diagnosis.ranking import Trial, judged, make_cases, pairs, rank, study
@@ -51,20 +53,18 @@ def diagnose(result: Result) -> Diagnosis:
         criteria = criteria_met(result, record, before)
         return Diagnosis(result, False, criteria, warnings=warnings, record=record, judgement=before)
     case = make_cases([result.scenario])[0]
-    criteria = misses(result, record, before)
+    failed = Diagnosis(
+        result,
+        True,
+        misses(result, record, before),
+        warnings=warnings,
+        obstacle=case.obstacle,
+        record=record,
+        judgement=before,
+    )
     if not result.by_law:
         findings, absent = _by_looks(case, record, before)
-        return Diagnosis(
-            result,
-            True,
-            criteria,
-            findings,
-            warnings=warnings,
-            absent=absent,
-            obstacle=case.obstacle,
-            record=record,
-            judgement=before,
-        )
+        return replace(failed, causes=findings, absent=absent)
     one = study([case], [before])[0]
     trials = rank(one)
     repeated = run_all([Run(case.scenario)])[0]
@@ -72,24 +72,17 @@ def diagnose(result: Result) -> Diagnosis:
         warnings += ("Repeated, the run ends otherwise: rounding decides, and the numbers may be off.",)
     remedies = _remedies(case, trials)
     findings = tuple(
-        _finding(case, trial, SIGNATURES[trial.cause.key](case, record, before), remedies.get(trial.cause.key))
-        if trial.cause.key in SIGNATURES
-        else _finding(case, trial, Signature(None, ""), remedies.get(trial.cause.key))
+        _finding(case, trial, signature_of(trial.cause.key, case, record, before), remedies.get(trial.cause.key))
         for trial in trials
     )
     present = {finding.cause for finding in findings}
-    return Diagnosis(
-        result,
-        True,
-        criteria,
-        findings,
+    return replace(
+        failed,
+        causes=findings,
         together=() if case.obstacle is not None else pairs(one, trials),
         controls=one.controls,
         warnings=warnings,
         absent=tuple(cause.title for cause in CAUSES if cause.key not in present),
-        obstacle=case.obstacle,
-        record=record,
-        judgement=before,
         cured=trials[0].record if trials and trials[0].named else None,
     )
 
@@ -157,7 +150,7 @@ def _by_looks(case: Case, record: Record, before: Judgement) -> tuple[tuple[Find
     """Diagnose from the recorded signals alone: a custom controller may have a state, so it is not run again."""
     findings, absent = [], []
     for cause in CAUSES:
-        signature = SIGNATURES[cause.key](case, record, before) if cause.key in SIGNATURES else Signature(None, "")
+        signature = signature_of(cause.key, case, record, before)
         of_the_law = cause.kind == "law" or cause.key in ("wrong_sign", "false_equilibrium")
         if of_the_law or cause.key in OF_THE_SCENARIO or not cause.removals(case) or signature.strength is None:
             absent.append(cause.title)

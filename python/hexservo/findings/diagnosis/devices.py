@@ -10,12 +10,17 @@ import numpy as np
 
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.diagnosis.drives import DRIVES
-from hexservo.findings.diagnosis.environment import (
-    BASE_MOTIONS,
-    ideal,
-    ordinary,
+from hexservo.findings.diagnosis.environment import BASE_MOTIONS, default_brake, ideal, ordinary
+from hexservo.findings.diagnosis.model import (
+    Alone,
+    Case,
+    Cause,
+    Removal,
+    always,
+    fault,
+    removal_by,
+    removed_by,
 )
-from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal, always, removed_by
 from hexservo.findings.diagnosis.remedies import (
     gravity_remedies,
     late_camera_remedies,
@@ -40,8 +45,8 @@ def _keys(*names: str) -> frozenset[str]:
 
 
 def _base_at_rest(case: Case) -> list[Removal]:
-    changes = {key: "none" for key in BASE_MOTIONS if value_at(case.scenario, key) != "none"}
-    return [Removal("a base at rest", changes)] if case.sampled and changes else []
+    moving = [key for key in BASE_MOTIONS if case.sampled and value_at(case.scenario, key) != "none"]
+    return removal_by("a base at rest", dict.fromkeys(moving, "none"))
 
 
 def _motion_alone(*kinds: str) -> Callable[[Case], list[Alone]]:
@@ -85,24 +90,13 @@ def _late_camera(case: Case) -> list[Removal]:
 
 
 def _lost_features(case: Case) -> list[Removal]:
-    camera = case.scenario.camera
-    changes: dict[str, Any] = {}
-    if camera.image_size is not None:
-        changes["camera.image_size"] = None
-    if camera.dropout:
-        changes["camera.dropout"] = 0.0
-    if camera.gate is not None:
-        changes["camera.gate"] = None
-    lost = case.sampled and changes
-    return [Removal("an image without border or gate, and no lost frames", changes)] if lost else []
+    none_lost = {"camera.image_size": None, "camera.dropout": 0.0, "camera.gate": None}
+    changes = {key: none for key, none in none_lost.items() if case.sampled and value_at(case.scenario, key) != none}
+    return removal_by("an image without border or gate, and no lost frames", changes)
 
 
 def _brake(case: Case) -> list[Removal]:
-    safe = case.scenario.controller.safe
-    changes = {f"controller.safe.{name}": None for name in type(safe).model_fields if getattr(safe, name) is not None}
-    if not case.sampled or not changes:
-        return []
-    return [Removal("the default gains of the brake", changes)]
+    return removal_by("the default gains of the brake", default_brake(case.scenario) if case.sampled else {})
 
 
 def _outliers(case: Case) -> list[Removal]:
@@ -145,10 +139,8 @@ def _gravity(case: Case) -> list[Removal]:
         changes["uncertainty.gravity"] = 0.0
     if case.scenario.has_unknown_payload:
         changes["robot.payload.known"] = True
-    if not changes:
-        return []
     words = "an exact estimate of the weight"
-    return [Removal(words if len(changes) == 1 else f"{words}, with the payload", changes)]
+    return removal_by(words if len(changes) == 1 else f"{words}, with the payload", changes)
 
 
 def _gravity_alone(case: Case) -> list[Alone]:
@@ -171,8 +163,8 @@ _CALIBRATION: dict[str, Any] = {
 
 
 def _calibration(case: Case) -> list[Removal]:
-    wrong = [key for key in _CALIBRATION if np.any(value_at(case.scenario, key))]
-    return [Removal("an exact calibration of the camera", {key: _CALIBRATION[key] for key in wrong})] if wrong else []
+    changes = {key: exact for key, exact in _CALIBRATION.items() if np.any(value_at(case.scenario, key))}
+    return removal_by("an exact calibration of the camera", changes)
 
 
 def _unequal_depth(case: Case) -> list[Removal]:
@@ -219,8 +211,7 @@ DEVICES: tuple[Cause, ...] = (
     Cause(
         "image_timeout",
         "images that time out",
-        _keys("camera.timeout"),
-        removed_by("camera.timeout", None, "images without an age limit"),
+        *fault("camera.timeout", None, "images without an age limit"),
         context=_IMAGE | {"camera.dropout", "camera.image_size", "camera.on_lost"},
     ),
     Cause(
@@ -247,47 +238,38 @@ DEVICES: tuple[Cause, ...] = (
         context=_IMAGE,
     ),
     Cause(
-        "pixel_noise",
-        "noise of the features",
-        _keys("camera.noise"),
-        removed_by("camera.noise", 0.0, "features without noise"),
-        context=_IMAGE,
+        "pixel_noise", "noise of the features", *fault("camera.noise", 0.0, "features without noise"), context=_IMAGE
     ),
     Cause(
         "pixel_quantisation",
         "features that are rounded",
-        _keys("camera.quantisation"),
-        removed_by("camera.quantisation", 0.0, "features that are not rounded"),
+        *fault("camera.quantisation", 0.0, "features that are not rounded"),
         context=_IMAGE,
     ),
     Cause(
         "image_smoothing",
         "image coordinates that are smoothed while the camera moves",
-        _keys("camera.smoothing"),
-        removed_by("camera.smoothing", 0.0, "image coordinates that are not smoothed"),
+        *fault("camera.smoothing", 0.0, "image coordinates that are not smoothed"),
         slower_remedies,
         context=_IMAGE,
     ),
     Cause(
         "latency_error",
         "a latency that is assumed wrong",
-        _keys("uncertainty.latency"),
-        removed_by("uncertainty.latency", 0.0, "the latency that the camera has"),
+        *fault("uncertainty.latency", 0.0, "the latency that the camera has"),
         context=_IMAGE,
     ),
     Cause(
         "encoder_noise",
         "noise of the encoders",
-        _keys("sensors.noise"),
-        removed_by("sensors.noise", 0.0, "encoders without noise", of=_with_encoders),
+        *fault("sensors.noise", 0.0, "encoders without noise", of=_with_encoders),
         slower_remedies,
         context=_ENCODERS,
     ),
     Cause(
         "encoder_resolution",
         "resolution of the encoders",
-        _keys("sensors.resolution"),
-        removed_by("sensors.resolution", 0.0, "encoders with exact resolution", of=_with_encoders),
+        *fault("sensors.resolution", 0.0, "encoders with exact resolution", of=_with_encoders),
         slower_remedies,
         context=_ENCODERS,
     ),
@@ -303,29 +285,25 @@ DEVICES: tuple[Cause, ...] = (
     Cause(
         "actuator_delay",
         "delay of the actuators",
-        _keys("actuators.delay"),
-        removed_by("actuators.delay", 0.0, "actuators without delay"),
+        *fault("actuators.delay", 0.0, "actuators without delay"),
         slower_remedies,
     ),
     Cause(
         "actuator_lag",
         "lag of the actuators",
-        _keys("actuators.bandwidth"),
-        removed_by("actuators.bandwidth", None, "actuators without lag"),
+        *fault("actuators.bandwidth", None, "actuators without lag"),
         slower_remedies,
     ),
     *DRIVES,
     Cause(
         "actuator_quantisation",
         "leg forces that are rounded",
-        _keys("actuators.quantisation"),
-        removed_by("actuators.quantisation", 0.0, "leg forces that are not rounded"),
+        *fault("actuators.quantisation", 0.0, "leg forces that are not rounded"),
     ),
     Cause(
         "actuator_hold",
         "leg forces that are held while the legs rotate",
-        _keys("actuators.hold"),
-        removed_by("actuators.hold", "wrench", "a wrench that is held while the legs rotate"),
+        *fault("actuators.hold", "wrench", "a wrench that is held while the legs rotate"),
     ),
     Cause(
         "base_motion",
@@ -350,16 +328,12 @@ DEVICES: tuple[Cause, ...] = (
         alone=_gravity_alone,
     ),
     Cause(
-        "inertia",
-        "a wrong inertia",
-        _keys("uncertainty.inertia"),
-        removed_by("uncertainty.inertia", 0.0, "an exact estimate of the inertia", of=always),
+        "inertia", "a wrong inertia", *fault("uncertainty.inertia", 0.0, "an exact estimate of the inertia", of=always)
     ),
     Cause(
         "coriolis",
         "wrong Coriolis terms",
-        _keys("uncertainty.coriolis"),
-        removed_by("uncertainty.coriolis", 0.0, "an exact estimate of the Coriolis terms", of=always),
+        *fault("uncertainty.coriolis", 0.0, "an exact estimate of the Coriolis terms", of=always),
     ),
     Cause(
         "calibration",

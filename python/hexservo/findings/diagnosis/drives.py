@@ -6,7 +6,7 @@ from typing import Any
 
 from hexservo.findings.diagnosis.criterion import Record
 from hexservo.findings.diagnosis.environment import ORDINARY_BANDWIDTH, ideal
-from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal, always, removed_by
+from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal, always, fault, removal_by
 from hexservo.findings.diagnosis.remedies import motor_remedies, slower_remedies
 from hexservo.scenario.keys import keys_below
 
@@ -30,9 +30,7 @@ def _position_lag(case: Case) -> list[Removal]:
 def _leg_rates(case: Case) -> list[Removal]:
     response = case.scenario.actuators.position
     limited = [name for name in ("speed_limit", "acceleration_limit") if getattr(response, name) is not None]
-    if not limited:
-        return []
-    return [Removal("legs without these limits", {f"actuators.position.{name}": None for name in limited})]
+    return removal_by("legs without these limits", {f"actuators.position.{name}": None for name in limited})
 
 
 def _motors(case: Case) -> list[Removal]:
@@ -87,8 +85,7 @@ DRIVES: tuple[Cause, ...] = (
     Cause(
         "stick_slip",
         "dry friction of the legs, which stick and slip",
-        frozenset({_FRICTION}),
-        removed_by(_FRICTION, 0.0, "legs without dry friction", of=always),
+        *fault(_FRICTION, 0.0, "legs without dry friction", of=always),
         motor_remedies,
         alone=_friction_alone,
     ),

@@ -14,7 +14,7 @@ import numpy as np
 
 from hexservo import _core
 from hexservo.findings.diagnosis.gains import default_gains
-from hexservo.findings.diagnosis.model import Alone, Case, Cause, Changes, Removal
+from hexservo.findings.diagnosis.model import Alone, Case, Cause, Changes, Removal, in_scenario
 from hexservo.scenario.keys import default_of, keys_below, value_at
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.scenario import Scenario
@@ -93,11 +93,15 @@ def ideal(scenario: Scenario) -> dict[str, Any]:
     usual = type(scenario.metrics)().dwell
     if scenario.metrics.dwell > usual:
         changes["metrics.dwell"] = usual
-    safe = scenario.controller.safe
-    changes |= {f"controller.safe.{name}": None for name in type(safe).model_fields if getattr(safe, name) is not None}
+    changes |= default_brake(scenario)
     if scenario.controller.jacobian == "printed" and scenario.camera.convention == "eye_in_hand":
         changes["controller.jacobian"] = "consistent"
     return changes
+
+
+def default_brake(scenario: Scenario) -> dict[str, None]:
+    """Return the changes that give the brake, which acts without an image, its default gains."""
+    return {key: None for key in keys_below("controller.safe") if value_at(scenario, key) is not None}
 
 
 def ordinary(scenario: Scenario) -> dict[str, Any]:
@@ -159,11 +163,8 @@ def alone_pairs(cause: Cause, case: Case, removal: Removal) -> list[Alone]:
         return [Alone({**without, **removal.changes}, without, removal.stroke_counts)]
     if cause.kind == "law":
         without |= ordinary(scenario)
-    law = f"controller.{scenario.controller.law}"
-    own = [key.replace("LAW", law) for key in cause.keys]
-    context = [key.replace("LAW", law) for key in cause.context]
-    without = _less(without, context)
-    return [Alone(without, _less(without, own))]
+    without = _less(without, in_scenario(cause.context, scenario))
+    return [Alone(without, _less(without, in_scenario(cause.keys, scenario)))]
 
 
 def alone_at_its_gains(case: Case, name: str, power: float) -> list[Alone]:
@@ -191,17 +192,14 @@ def both_alone(first: Cause, second: Cause, case: Case) -> Alone:
     without = ideal(scenario)
     if "law" in (first.kind, second.kind):
         without |= ordinary(scenario)
-    law = f"controller.{scenario.controller.law}"
-    own = [key.replace("LAW", law) for cause in (first, second) for key in (*cause.keys, *cause.context)]
+    own = in_scenario(first.keys | first.context | second.keys | second.context, scenario)
     return Alone(without, _less(without, own))
 
 
 def _less(changes: Changes, keys: Iterable[str]) -> dict[str, Any]:
     """Return the changes without those of some keys, which keep the scenario's values."""
-    kept = dict(changes)
-    for key in keys:
-        kept.pop(key, None)
-    return kept
+    kept = set(keys)
+    return {key: value for key, value in changes.items() if key not in kept}
 
 
 def known(changes: Mapping[str, Any]) -> str:

@@ -195,5 +195,12 @@ SIGNATURES: dict[str, Callable[[Case, Record, Judgement], Signature]] = {
     "leg_limits": _leg_limits,
 }
 """By the causes' keys: of a run that failed, by which criteria."""
+
+
+def signature_of(cause: str, case: Case, record: Record, judgement: Judgement) -> Signature:
+    """Return the signature of a cause, by its key, in a run that failed."""
+    return SIGNATURES[cause](case, record, judgement) if cause in SIGNATURES else Signature(None, "")
+
+
 OF_THE_SCENARIO = frozenset({"poor_image", "leg_limits"})
 """Those that are the same whatever was recorded: they do not depend on what a controller did."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from hexservo.findings.diagnosis.environment import (
 )
 from hexservo.findings.diagnosis.gains import GAIN_KEYS, damped, not_below_default, slower
 from hexservo.findings.diagnosis.goal import spread_target
-from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal
+from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal, removal_by
 from hexservo.findings.diagnosis.remedies import leg_limits_remedies
 from hexservo.findings.diagnosis.tracking import legs_within_margins
 from hexservo.scenario.blocks import Metrics
@@ -77,14 +78,6 @@ def _spring(case: Case) -> list[Removal]:
     ]
 
 
-def _stiction_alone(case: Case) -> list[Alone]:
-    return alone_at_its_gains(case, "kv", -1.0)
-
-
-def _spring_alone(case: Case) -> list[Alone]:
-    return alone_at_its_gains(case, "fuzzy.adaptation", 1.0)
-
-
 def _weights(case: Case) -> list[Removal]:
     if case.scenario.controller.law not in _WITH_FRICTION:
         return []
@@ -94,45 +87,41 @@ def _weights(case: Case) -> list[Removal]:
         for key, value in ordinary(case.scenario).items()
         if key.startswith(prefix) and key.rpartition(".")[2] in _WEIGHTS
     }
-    return [Removal("the other settings of the fuzzy systems at their defaults", changes)] if changes else []
+    return removal_by("the other settings of the fuzzy systems at their defaults", changes)
 
 
 def _switching(case: Case) -> list[Removal]:
     if case.scenario.controller.law not in _WITH_FRICTION or not np.any(_block(case).kv):
         return []
     changes = {key: value for key, value in ordinary(case.scenario).items() if key.startswith("controller.switching")}
-    return [Removal("an ordinary switching term", changes)] if changes else []
+    return removal_by("an ordinary switching term", changes)
 
 
 def _options(case: Case) -> list[Removal]:
     names = {_law_key(case, name) for name in _OPTIONS}
     changes = {key: value for key, value in ordinary(case.scenario).items() if key in names}
-    return [Removal("the law's prior and Jacobian at their defaults", changes)] if changes else []
+    return removal_by("the law's prior and Jacobian at their defaults", changes)
 
 
 _FITTED = frozenset({"LAW.auto.bandwidth", "LAW.auto.damping"})  # act through the gains that they give
 
 
-def _gains_high(case: Case) -> list[Removal]:
-    scenario = case.scenario
-    removals = [
-        Removal(f"the loop {factor:g} times as slow", changes)
+def _loop(case: Case, how: str, power: float) -> list[Removal]:
+    """Return loops that are slower by some factors, or faster by them with a power of -1."""
+    return [
+        removal
         for factor in _FACTORS
-        if (changes := slower(scenario, factor))
+        for removal in removal_by(f"the loop {factor:g} times as {how}", slower(case.scenario, factor**power))
     ]
-    more = damped(scenario, 8.0)
-    return [*removals, Removal("more damping", more)] if more else removals
+
+
+def _gains_high(case: Case) -> list[Removal]:
+    return [*_loop(case, "slow", 1.0), *removal_by("more damping", damped(case.scenario, 8.0))]
 
 
 def _gains_low(case: Case) -> list[Removal]:
-    scenario = case.scenario
-    removals = [
-        Removal(f"the loop {factor:g} times as fast", changes)
-        for factor in _FACTORS
-        if (changes := slower(scenario, 1.0 / factor))
-    ]
-    raised = not_below_default(scenario)
-    return [*removals, Removal("stiffness and damping of at least the defaults", raised)] if raised else removals
+    raised = removal_by("stiffness and damping of at least the defaults", not_below_default(case.scenario))
+    return [*_loop(case, "fast", -1.0), *raised]
 
 
 def _coarse_step(case: Case) -> list[Removal]:
@@ -263,11 +252,16 @@ LAWS: tuple[Cause, ...] = (
         "adaptation that acts as a spring",
         frozenset({"LAW.fuzzy.adaptation"}),
         _spring,
-        alone=_spring_alone,
+        alone=partial(alone_at_its_gains, name="fuzzy.adaptation", power=1.0),
         kind="law",
     ),
     Cause(
-        "stiction", "stiction: K_v is too large", frozenset({"LAW.kv"}), _stiction, alone=_stiction_alone, kind="law"
+        "stiction",
+        "stiction: K_v is too large",
+        frozenset({"LAW.kv"}),
+        _stiction,
+        alone=partial(alone_at_its_gains, name="kv", power=-1.0),
+        kind="law",
     ),
     Cause(
         "switching",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
@@ -50,6 +50,15 @@ class Alone:
     first_decides: bool = False  # whether a first one that fails speaks against the cause; else it proves nothing
 
 
+Removals: TypeAlias = Callable[[Case], list[Removal]]
+Remedies: TypeAlias = Callable[[Case, Removal, Record], list[Removal]]
+
+
+def removal_by(words: str, changes: Changes) -> list[Removal]:
+    """Return the removal by some changes; none where nothing is to be changed."""
+    return [Removal(words, changes)] if changes else []
+
+
 def always(case: Case) -> bool:
     """Whether a case has what every scenario has."""
     return True
@@ -59,9 +68,7 @@ def _samples(case: Case) -> bool:
     return case.sampled
 
 
-def removed_by(
-    key: str, none: object, words: str, *, of: Callable[[Case], bool] = _samples
-) -> Callable[[Case], list[Removal]]:
+def removed_by(key: str, none: object, words: str, *, of: Callable[[Case], bool] = _samples) -> Removals:
     """Return what removes a device's fault: its key set to the value that stands for no fault.
 
     Parameters
@@ -72,9 +79,14 @@ def removed_by(
 
     def removals(case: Case) -> list[Removal]:
         present = of(case) and not np.all(np.asarray(value_at(case.scenario, key)) == none)  # of arrays, every entry
-        return [Removal(words, {key: none})] if present else []
+        return removal_by(words, {key: none} if present else {})
 
     return removals
+
+
+def fault(key: str, none: object, words: str, of: Callable[[Case], bool] = _samples) -> tuple[frozenset[str], Removals]:
+    """Return the key of a fault in one setting, and what removes it (`removed_by`): two fields of its `Cause`."""
+    return frozenset({key}), removed_by(key, none, words, of=of)
 
 
 def same(case: Case, removal: Removal, record: Record) -> list[Removal]:
@@ -93,10 +105,13 @@ class Cause:
     key: str
     title: str
     keys: frozenset[str]  # keys of a scenario that belong to this cause; "LAW" stands for the law's own block
-    removals: Callable[[Case], list[Removal]]  # empty: not present in the scenario
-    remedies: Callable[[Case, Removal, Record], list[Removal]] = (
-        same  # after the removal that helped most, with its run
-    )
+    removals: Removals  # empty: not present in the scenario
+    remedies: Remedies = same  # after the removal that helped most, with its run
     context: frozenset[str] = field(default_factory=frozenset)  # keys on which the effect of these keys depends
     alone: Callable[[Case], list[Alone]] | None = None  # replaces the pairs that follow from kind, keys and context
     kind: Kind = "device"
+
+
+def in_scenario(keys: Iterable[str], scenario: Scenario) -> list[str]:
+    """Return keys of a cause by their dotted names in a scenario, where "LAW" is its law's own block."""
+    return [key.replace("LAW", f"controller.{scenario.controller.law}") for key in keys]

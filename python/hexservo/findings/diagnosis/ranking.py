@@ -22,7 +22,7 @@ from hexservo.findings.diagnosis.environment import (
     unusual,
 )
 from hexservo.findings.diagnosis.goal import goal_of, obstacle_of
-from hexservo.findings.diagnosis.model import Case, Cause, Removal
+from hexservo.findings.diagnosis.model import Case, Cause, Removal, in_scenario
 from hexservo.findings.diagnosis.runs import Run, run_all
 from hexservo.scenario.fitted import idle_gains
 from hexservo.scenario.noise import is_random
@@ -249,8 +249,7 @@ def _ordinary_devices(case: Case) -> set[str]:
 def _unusual_causes(case: Case) -> set[str]:
     """Return the keys of the causes for which a scenario has settings that are not ordinary."""
     keys = unusual(case.scenario)
-    law = f"controller.{case.scenario.controller.law}"
-    return {cause.key for cause in CAUSES if any(key.replace("LAW", law) in keys for key in cause.keys)}
+    return {cause.key for cause in CAUSES if not keys.isdisjoint(in_scenario(cause.keys, case.scenario))}
 
 
 def _is_elsewhere(one: Study) -> bool:

@@ -29,7 +29,6 @@ class Run:
 
     scenario: Scenario
     changes: Mapping[str, Any] = field(default_factory=dict)  # by dotted key, as Scenario.updated takes them
-    keep: bool = False  # the samples
 
 
 def record_of(result: Result) -> Record:
@@ -124,19 +123,18 @@ def _run(
             yield from _run([one], runs, threads)
         return
     for row, (index, _) in enumerate(group):
-        yield index, _batch_record(batch, row, keep=runs[index].keep)
+        yield index, _batch_record(batch, row)
 
 
-def _batch_record(batch: BatchResult, row: int, *, keep: bool) -> Record:
+def _batch_record(batch: BatchResult, row: int) -> Record:
     assert batch.time is not None  # of trajectories
     there = np.isfinite(batch.samples["feature_error"][row]).all(axis=1)
-    names = _KEPT if keep else ("feature_error", "leg_lengths")
     return make_record(
         str(batch.outcome[row]),
         batch.detail(row),
         float(batch.end_time[row]),
         metrics_of(batch, row),
         batch.time[there],
-        {name: batch.samples[name][row][there] for name in names},
-        keep=keep,
+        {name: batch.samples[name][row][there] for name in ("feature_error", "leg_lengths")},
+        keep=False,
     )

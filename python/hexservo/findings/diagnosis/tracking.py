@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from hexservo.findings.diagnosis.environment import BASE_MOTIONS, ideal
-from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal
-from hexservo.findings.leg_feedback import feedback_margin, integral_margin
+from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal, removal_by
+from hexservo.findings.leg_feedback import OF_MARGIN, feedback_margin, integral_margin
 from hexservo.scenario.keys import keys_below, value_at
 from hexservo.scenario.laws import Tracking
 from hexservo.scenario.pixels import feature_noise
@@ -20,7 +20,6 @@ _LEAST_NOISE = 0.02  # [px], that the filter assumes for features without noise
 _CONTEXT = ("actuators.position", "target.motion", "camera.period", "camera.latency", "camera.latency_jitter")
 
 _DRIVES = ("actuators",)  # whose legs the feedback and the offset correct, as late as they are
-_OF_MARGIN = 0.5  # share of its gain margin that a feedback may have
 
 
 def _of_the_law(changes: Callable[[Case], Mapping[str, Any]], words: str) -> Callable[[Case], list[Removal]]:
@@ -28,7 +27,7 @@ def _of_the_law(changes: Callable[[Case], Mapping[str, Any]], words: str) -> Cal
         if case.scenario.controller.law != _LAW:
             return []
         found = {key: value for key, value in changes(case).items() if value_at(case.scenario, key) != value}
-        return [Removal(words, found)] if found else []
+        return removal_by(words, found)
 
     return removals
 
@@ -61,8 +60,8 @@ def _within_margins(case: Case) -> Mapping[str, Any]:
     own = {name: value_at(case.scenario, f"{_BLOCK}.{name}") for name in ("feedback", "integral")}
     if not any(own.values()):
         return {}
-    feedback = {f"{_BLOCK}.feedback": min(own["feedback"], _OF_MARGIN * feedback_margin(case.scenario))}
-    most = _OF_MARGIN * integral_margin(case.scenario.updated(feedback))
+    feedback = {f"{_BLOCK}.feedback": min(own["feedback"], OF_MARGIN * feedback_margin(case.scenario))}
+    most = OF_MARGIN * integral_margin(case.scenario.updated(feedback))
     return {**feedback, f"{_BLOCK}.integral": min(own["integral"], most)}
 
 

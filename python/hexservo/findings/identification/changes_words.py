@@ -6,8 +6,7 @@ from typing import Any
 
 from hexservo.findings.evidence import Column, Section, Table, Verdict
 from hexservo.findings.identification.changes import Changes
-
-PAGE = "docs/identification.md"
+from hexservo.findings.identification.drives_words import PAGE
 
 
 def section(found: Changes) -> Section:

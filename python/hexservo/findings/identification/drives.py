@@ -16,7 +16,7 @@ from scipy.stats import chi2
 
 from hexservo import _core
 from hexservo.findings.identification.interval import LEVEL, Interval, correlated, deviations
-from hexservo.findings.identification.log import FITTED, LEAST_EXPLAINED, Log, leg_moves
+from hexservo.findings.identification.log import FITTED, LEAST_EXPLAINED, Log, leg_moves, scatter
 from hexservo.findings.identification.rests import Rests, find_rests, with_friction
 from hexservo.findings.part import Part
 from hexservo.run.progress import ProgressCallback
@@ -122,11 +122,6 @@ class _Record:
     period: float
     fitted: int  # ticks that are fitted
     rests: Rests | None = None
-
-    @property
-    def scatter(self) -> float:
-        """What the coordinate changes by from tick to tick, as a standard deviation of white noise."""
-        return float(np.std(np.diff(self.joints))) / float(np.sqrt(2.0))
 
     @property
     def moves(self) -> bool:
@@ -248,7 +243,7 @@ def _described(record: _Record, leg: int, models: Sequence[_Model]) -> tuple[Dri
     """Return what the best model states, and what it predicts at all ticks."""
     if not models:
         still = np.full_like(record.joints, record.joints[: record.fitted].mean())
-        return DriveFit(leg, None, None, None, None, None, 0.0, record.scatter, 1.0, None), still
+        return DriveFit(leg, None, None, None, None, None, 0.0, scatter(record.joints), 1.0, None), still
     best = _best(models)
     alike = _alike(best, models)
     delays = [model.delay for model in alike]

@@ -10,11 +10,13 @@ import numpy as np
 from hexservo.findings.evidence import Cell, Column, Curves, Line, Section, Table, Verdict
 from hexservo.findings.identification.drives import MOST_DELAY, DriveFit, Drives
 from hexservo.findings.identification.interval import Interval
+from hexservo.findings.identification.motors import MotorFit
 from hexservo.findings.identification.one_drive import AGREEMENT, Response, response_of
 from hexservo.scenario.wording import below, number
 
 PAGE = "docs/identification.md"
-_GOOD = 0.95  # share of the part kept apart that a model should predict
+GOOD = 0.95  # share of the part kept apart that a model should predict
+_LASTING = 5.0  # ticks over which residuals may be correlated without a word
 _ALIKE = 1.1  # ratio of two legs' bandwidths that is not worth a word
 
 
@@ -43,7 +45,7 @@ def section(found: Drives) -> Section:
             Column("damping"),
             Column("delay", "ticks"),
             Column("speed limit", found.units.rate),
-            Column("acceleration limit", f"{found.units.rate}²".replace("²", "^2")),
+            Column("acceleration limit", f"{found.units.rate}^2"),
             Column("rests short by", unit),
             Column("left by the fit", unit, ".3g"),
             Column("predicted", "%", ".4g"),
@@ -104,7 +106,7 @@ def _verdict(found: Drives) -> Verdict:
     if not found.explains:
         return "bad"
     known = all(one is not None and one.is_bounded for fit in found.fits for one in _values(fit))
-    return "good" if known and all((fit.explained or 0.0) >= _GOOD for fit in found.fits) else "warning"
+    return "good" if known and all((fit.explained or 0.0) >= GOOD for fit in found.fits) else "warning"
 
 
 def _values(fit: DriveFit) -> tuple[Interval | None, ...]:
@@ -140,12 +142,8 @@ def _sentences(found: Drives) -> list[str]:
         )
     lasting = max(moved, key=lambda fit: fit.correlated)
     held = [(fit.leg, fit.rests) for fit in moved if fit.rests is not None and fit.rests.short.low > 0.0]
-    if lasting.correlated > 5.0:
-        cause = "friction, backlash or the steps of an encoder"
-        words.append(
-            f"What the fit leaves of leg {lasting.leg} is correlated over {number(lasting.correlated)} ticks: "
-            f"something acts that the model lacks, such as {cause}; the intervals are widened for it."
-        )
+    lacking = "the model lacks, such as friction, backlash or the steps of an encoder"
+    words += of_correlation(f" of leg {lasting.leg}", lasting.correlated, lacking)
     if held:
         leg, rests = max(held, key=lambda one: one[1].short.value)
         short, unit = with_interval(rests.short.times(1e3)), found.units.small
@@ -164,12 +162,11 @@ def _of_the_prediction(found: Drives) -> str:
             f"No leg moves in the {number(found.apart)} s that were kept apart: what the model predicts is not known."
         )
     if not found.explains:
-        share = f"no more than {number(100 * worst.explained)} %" if worst.explained > 0.0 else "nothing"
         return (
-            f"The model predicts {share} of the motion of leg {worst.leg} in the {number(found.apart)} s that were "
-            "kept apart: the joints do not follow these commands, and no key of the drives is taken over. Likely "
-            "reasons: commands and joints exchanged, or of opposite sign; another order of the legs, or another unit, "
-            "in one of them; a leg that does not do what it is commanded."
+            f"The model predicts {at_most(worst.explained)} of the motion of leg {worst.leg} in the "
+            f"{number(found.apart)} s that were kept apart: the joints do not follow these commands, and no key of the "
+            "drives is taken over. Likely reasons: commands and joints exchanged, or of opposite sign; another order "
+            "of the legs, or another unit, in one of them; a leg that does not do what it is commanded."
         )
     judged = [fit for fit in found.fits if fit.explained is not None]
     whose = "each leg" if len(judged) == 6 else f"{'each of ' if len(judged) > 1 else ''}{_legs(judged)}"
@@ -235,16 +232,34 @@ def _legs(fits: Iterable[DriveFit]) -> str:
 def _curves(found: Drives) -> tuple[Curves, ...]:
     if not found.moved:
         return ()
-    leg = (found.worst or found.moved[0]).leg - 1
-    return (
-        Curves(
-            f"Leg {leg + 1} in the part kept apart, the worst one",
-            "time [s]",
-            f"{found.units.name} [{found.units.small}]",
-            [
-                Line("measured", found.time, 1e3 * found.measured[:, leg]),
-                Line("predicted", found.time, 1e3 * found.predicted[:, leg], "dashed"),
-            ],
-            page=PAGE,
-        ),
+    leg = (found.worst or found.moved[0]).leg
+    return (curves_of(found, leg, f"Leg {leg}"),)
+
+
+def curves_of(found: Drives | MotorFit, leg: int, what: str) -> Curves:
+    """Return the measured and predicted coordinate of the worst leg, 1 to 6, in the part kept apart."""
+    return Curves(
+        f"{what} in the part kept apart, the worst one",
+        "time [s]",
+        f"{found.units.name} [{found.units.small}]",
+        [
+            Line("measured", found.time, 1e3 * found.measured[:, leg - 1]),
+            Line("predicted", found.time, 1e3 * found.predicted[:, leg - 1], "dashed"),
+        ],
+        page=PAGE,
     )
+
+
+def at_most(explained: float) -> str:
+    """Return the share of a motion that a model predicts which is not of the machine: "no more than 12 %"."""
+    return f"no more than {number(100 * explained)} %" if explained > 0.0 else "nothing"
+
+
+def of_correlation(of: str, ticks: float, lacking: str) -> list[str]:
+    """Return what it means where residuals are correlated over many ticks; [] where they are not."""
+    if ticks <= _LASTING:
+        return []
+    return [
+        f"What the fit leaves{of} is correlated over {number(ticks)} ticks: something acts that {lacking}; the "
+        "intervals are widened for it."
+    ]

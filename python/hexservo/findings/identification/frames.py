@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -127,21 +128,8 @@ def fit_camera(log: Log, scene: Scene) -> CameraFit:
     fit = _fit(sight, log, stamped=stamped)
     if isinstance(fit, str):
         return CameraFit(count, period, dropout, repeated=repeated, open=fit)
-    shift = fit.shift
-    found = CameraFit(
-        count,
-        period,
-        dropout,
-        shift,
-        fit.jitter,
-        noise=fit.noise,
-        explained=fit.explained,
-        target=fit.target,
-        target_deviations=fit.target_deviations,
-        correlated=fit.correlated,
-        target_pixels=fit.target_pixels,
-        repeated=repeated,
-    )
+    shift, of_motion = fit
+    found = CameraFit(count, period, dropout, shift, repeated=repeated, **of_motion)
     if frames.exposure is None:
         return found
     late = frames.arrival - frames.exposure
@@ -259,22 +247,8 @@ class _Sight:
         return np.asarray(features - self.features) if (depth < 0.0).all() else None
 
 
-@dataclass(frozen=True, eq=False)
-class _Fit:
-    """What the motion of joints and image gives."""
-
-    shift: Interval  # of the frames' times [s]
-    jitter: float | None  # of these [s]; None where none is seen
-    noise: Interval  # standard deviation of a coordinate [px]
-    explained: float | None  # share of the image motion kept apart that is predicted
-    target: Array  # (6,) displacement [m; rad]
-    target_deviations: Array  # (6,)
-    correlated: float  # frames over which what is left is, in half of the coordinates
-    target_pixels: float  # what the displacement moves the image by, RMS of a coordinate [px]
-
-
-def _fit(sight: _Sight, log: Log, *, stamped: bool) -> _Fit | str:
-    """Return what the motion gives, or why it gives nothing."""
+def _fit(sight: _Sight, log: Log, *, stamped: bool) -> tuple[Interval, dict[str, Any]] | str:
+    """Return the shift of the frames' times [s] and the fields of `CameraFit` that the motion gives, or why none."""
     count = len(sight.times)
     if count < _FEWEST:
         return f"expected at least {_FEWEST} frames {1e3 * sight.latest:.0f} ms after the start of the log, got {count}"
@@ -311,12 +285,17 @@ def _fit(sight: _Sight, log: Log, *, stamped: bool) -> _Fit | str:
     sigma = robust_deviations(fit.jac, fit.fun, fitted, together)
     shift = _bounded(Interval.around(fit.x[0], float(sigma[0])).times(sight.latest), lowest, sight.latest)
     noise, jitter = _noise_and_jitter(left, fit.jac[:, 0].reshape(left.shape) / sight.latest, together)
-    explained = _predicted(sight, log, shift.value, fit.x[1:] * unit, fitted)
     target = fit.x[1:] * unit
     undisplaced = part.left(shift.value, np.zeros(_TARGET))
-    moved = np.inf if undisplaced is None else float(np.sqrt(np.mean((left - undisplaced) ** 2)))
-    typical = float(np.median(lasting))
-    return _Fit(shift, None if stamped else jitter, noise, explained, target, sigma[1:] * unit, typical, moved)
+    return shift, {
+        "jitter": None if stamped else jitter,
+        "noise": noise,
+        "explained": _predicted(sight, log, shift.value, target, fitted),
+        "target": target,
+        "target_deviations": sigma[1:] * unit,
+        "correlated": float(np.median(lasting)),
+        "target_pixels": np.inf if undisplaced is None else float(np.sqrt(np.mean((left - undisplaced) ** 2))),
+    }
 
 
 def _noise_and_jitter(left: Array, speed: Array, together: float) -> tuple[Interval, float | None]:

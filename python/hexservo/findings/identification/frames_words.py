@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import asdict
 
 from hexservo.findings.evidence import Column, Section, Table, Verdict
-from hexservo.findings.identification.drives_words import with_interval
+from hexservo.findings.identification.drives_words import GOOD, PAGE, at_most, with_interval
 from hexservo.findings.identification.frames import MOST_LATENCY, CameraFit
 from hexservo.findings.identification.interval import Interval
 from hexservo.scenario.wording import number
 
-PAGE = "docs/identification.md"
 _TITLE = "Camera"
-_GOOD = 0.95  # share of the image motion kept apart that a model should predict
 
 
 def section(found: CameraFit) -> Section:
@@ -33,7 +31,7 @@ def section(found: CameraFit) -> Section:
     table = Table(
         "Camera; in brackets 95 % intervals", (Column("quantity"), Column("value"), Column("unit")), rows, page=PAGE
     )
-    known = found.latency_is_known and found.period is not None and (found.explained or 0.0) >= _GOOD
+    known = found.latency_is_known and found.period is not None and (found.explained or 0.0) >= GOOD
     good = known and not doubts(found)
     verdict: Verdict = "bad" if not found.explains else "good" if good else "warning"
     return Section("camera", _TITLE, [*_sentences(found), *_of_repeated(found)], (table,), verdict, data)
@@ -42,12 +40,11 @@ def section(found: CameraFit) -> Section:
 def _sentences(found: CameraFit) -> list[str]:
     latency = found.latency
     if not found.explains and found.explained is not None:
-        share = f"no more than {number(100 * found.explained)} %" if found.explained > 0.0 else "nothing"
         return [
-            f"Joints and target predict {share} of the motion of the image in the part kept apart: the image is "
-            "not of this model, and no key of the camera is taken over. Likely reasons: another order of the points "
-            "than the target's; y up in place of down, or pixels that are not those of the scenario's camera "
-            "(camera.axes, focal_pixels, principal_point); another place of the camera (camera.mount) or of the "
+            f"Joints and target predict {at_most(found.explained)} of the motion of the image in the part kept apart: "
+            "the image is not of this model, and no key of the camera is taken over. Likely reasons: another order of "
+            "the points than the target's; y up in place of down, or pixels that are not those of the scenario's "
+            "camera (camera.axes, focal_pixels, principal_point); another place of the camera (camera.mount) or of the "
             "target; the order or the sign of the legs; an image that moves by little more than its noise."
         ]
     if latency is not None and found.at_edge:

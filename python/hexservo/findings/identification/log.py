@@ -135,6 +135,11 @@ class Log:
             )
 
 
+def scatter(joints: Array) -> float:
+    """Return what a coordinate (n,) changes by from tick to tick, as a standard deviation of white noise."""
+    return float(np.std(np.diff(joints))) / float(np.sqrt(2.0))
+
+
 def leg_moves(commands: Array, joints: Array, part: slice) -> bool:
     """Return whether a leg was commanded to move by more than its noise in a part of a log, and moved at all.
 
@@ -145,9 +150,8 @@ def leg_moves(commands: Array, joints: Array, part: slice) -> bool:
     part
         Ticks that count.
     """
-    noise = float(np.std(np.diff(joints))) / float(np.sqrt(2.0))
     way = float(np.ptp(commands[part]))
-    return way > 0.0 and way > _STILL * noise and float(np.ptp(joints[part])) > 0.0
+    return way > 0.0 and way > _STILL * scatter(joints) and float(np.ptp(joints[part])) > 0.0
 
 
 def _make_arrays(record: Frames | Log, names: Sequence[str]) -> None:

@@ -6,13 +6,11 @@ from dataclasses import asdict
 
 import numpy as np
 
-from hexservo.findings.evidence import Column, Curves, Line, Section, Table, Verdict
+from hexservo.findings.evidence import Column, Section, Table, Verdict
 from hexservo.findings.identification.drives import MOST_DELAY
-from hexservo.findings.identification.drives_words import with_interval
+from hexservo.findings.identification.drives_words import PAGE, at_most, curves_of, of_correlation, with_interval
 from hexservo.findings.identification.motors import MotorFit
 from hexservo.scenario.wording import number
-
-PAGE = "docs/identification.md"
 
 _KEPT = ("kp", "damping", "armature", "friction", "delay", "limit", "noise", "error", "error_of_drives", "explained")
 
@@ -41,37 +39,22 @@ def section(found: MotorFit) -> Section:
         "the machine that was given.",
     ]
     if not found.explains and found.explained is not None:
-        share = f"no more than {number(100 * found.explained)} %" if found.explained > 0.0 else "nothing"
         words.append(
-            f"That is {share} of the motion of a leg: the machine does not move as this model, and none of its keys is "
-            "taken over."
+            f"That is {at_most(found.explained)} of the motion of a leg: the machine does not move as this model, and "
+            "none of its keys is taken over."
         )
     if found.delay == MOST_DELAY:
         words.append(
             f"The delay is at least {MOST_DELAY} ticks, the most that is tried and that a scenario has: the key "
             "`actuators.delay` is left as it is."
         )
-    if found.correlated > 5.0:
-        words.append(
-            f"What the fit leaves is correlated over {number(found.correlated)} ticks: something acts that these "
-            "motors lack; the intervals are widened for it."
-        )
-    leg = int(np.argmax(((found.predicted - found.measured) ** 2).mean(axis=0)))
-    curves = Curves(
-        f"Leg {leg + 1} on motors in the part kept apart, the worst one",
-        "time [s]",
-        f"{found.units.name} [{unit}]",
-        [
-            Line("measured", found.time, 1e3 * found.measured[:, leg]),
-            Line("predicted", found.time, 1e3 * found.predicted[:, leg], "dashed"),
-        ],
-        page=PAGE,
-    )
+    words += of_correlation("", found.correlated, "these motors lack")
+    leg = 1 + int(np.argmax(((found.predicted - found.measured) ** 2).mean(axis=0)))
     return Section(
         name="motors",
         title="Motors of the legs",
         sentences=words,
-        items=(table, curves),
+        items=(table, curves_of(found, leg, f"Leg {leg} on motors")),
         verdict=_verdict(found),
         data={key: value for key, value in asdict(found).items() if key in _KEPT},
     )
