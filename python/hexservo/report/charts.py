@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from hexservo.findings.evidence import Bars, Curves, HeatMap, Line
 from hexservo.report.documentation import anchor_of, is_page
 from hexservo.report.html import Html, element, json_script, paragraphs
-from hexservo.run.samples import extreme_samples
+from hexservo.run.samples import extreme_samples, path_samples
 from hexservo.scenario.arrays import Array
 
 Spec: TypeAlias = dict[str, Any]
@@ -283,7 +283,7 @@ def _kept_of_part(x: Array, y: Array, tolerance: float) -> NDArray[np.intp]:
     if not (len(y) and np.isfinite(x[0]) and np.isfinite(y[0])):
         return np.arange(len(y))[:1]  # of a gap
     if (np.diff(x) <= 0).any():  # x decreases, as on a circle
-        return np.union1d(extreme_samples(x), extreme_samples(y))
+        return path_samples(x, y)
     return thinned(x, y, tolerance)
 
 
