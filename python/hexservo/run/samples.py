@@ -143,7 +143,7 @@ def mean_samples(time: Array) -> int:
 
 
 def mean_period(time: Array, count: int) -> str:
-    """Return how long `count` samples of a moving mean last, in words."""
+    """Return how long `count` samples of a moving mean last, as text."""
     return f"{1e3 * count * float(np.median(np.diff(time))):.3g} ms"
 
 
