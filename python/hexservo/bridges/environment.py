@@ -211,11 +211,7 @@ class HexapodVectorEnv(_vector.VectorEnv):  # type: ignore[misc]
         return np.concatenate(parts, axis=1)
 
     def _info(self) -> dict[str, Any]:
-        every = np.ones(self.num_envs, dtype=bool)
-        return {
-            "time": self._states["time"],
-            "_time": every,
-        }
+        return {"time": self._states["time"], "_time": np.ones(self.num_envs, dtype=bool)}
 
     def _final(self, over: Mask) -> dict[str, Any]:
         observations = np.full(self.num_envs, None, dtype=object)

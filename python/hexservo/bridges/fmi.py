@@ -7,10 +7,10 @@ import io
 import uuid
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from operator import attrgetter
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from hexservo.bridges.model_description import UnitVariable, model_description
 from hexservo.run.c_library import c_library
 from hexservo.run.controller import controller_keys
 from hexservo.run.metrics import METRICS, metric_unit
+from hexservo.run.result import quantities
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.flat import flat
 from hexservo.scenario.leg_units import leg_units, unit_of, unit_of_entry
@@ -41,8 +42,6 @@ _LEFT_OUT = ("simulation.log_every", "simulation.mode", "robot.legs")
 _NOT_OF_A_PLANT = ("controller.", "actuators.kind", "actuators.position.", "actuators.motor.", "metrics.",
                    "simulation.duration")  # fmt: skip
 _TYPES = {"number": "real", "array": "real", "whole": "whole", "flag": "flag", "choice": "text", "seed": "text"}
-_WRENCH = ("N", "N", "N", "N m", "N m", "N m")
-_TWIST = ("m/s", "m/s", "m/s", "rad/s", "rad/s", "rad/s")
 
 
 def fmu(scenario: Scenario, *, fmi: Literal[2, 3] = 2, what: UnitKind = "loop") -> bytes:
@@ -185,30 +184,31 @@ def _unit(unit: str, index: int, count: int) -> str:
     return unit_of_entry(unit, index) if count == 6 or "; " not in unit else ""
 
 
-def _array(
-    role: Literal["input", "output"], name: str, units: str | tuple[str, ...], starts: object = None, count: int = 0
+def _arrays(scenario: Scenario) -> dict[str, tuple[str, int]]:
+    """Return unit and length of every array that a unit may take or give, by name."""
+    robot = scenario.robot
+    logged = {
+        name: (unit_of(robot, name, unit), len(labels))
+        for name, (_, labels, unit, _) in quantities(scenario.target.count).items()
+    }
+    of_sensors = {"features": logged["feature_error"], "leg_rates": (leg_units(robot).rate, 6)}
+    return {**logged, **of_sensors, "leg_positions": logged["leg_lengths"], "latency": ("s", 3)}
+
+
+def _signals(
+    scenario: Scenario, role: Literal["input", "output"], names: Iterable[str], starts: Mapping[str, Any] | None = None
 ) -> Iterator[UnitVariable]:
-    values = np.ravel(np.asarray(starts, dtype=float)) if starts is not None else np.zeros(count)
-    for index, start in enumerate(values):
-        unit = units if isinstance(units, str) else units[index]
-        yield UnitVariable(role, "real", f"{name}[{index + 1}]", name, index, unit, repr(float(start)))
-
-
-def _points(settings: _core.Settings) -> int:
-    return len(np.ravel(settings["target.desired_features"])) // 2
+    """Yield arrays by their names, entry by entry, which start with `starts` or else with zeros."""
+    known = _arrays(scenario)
+    for name in names:
+        unit, count = known[name]
+        for index, start in enumerate(np.ravel((starts or {}).get(name, np.zeros(count)))):
+            entry = f"{name}[{index + 1}]"
+            yield UnitVariable(role, "real", entry, name, index, unit_of_entry(unit, index), repr(float(start)))
 
 
 def _of_loop(scenario: Scenario, settings: _core.Settings) -> Iterator[UnitVariable]:
-    points, legs = _points(settings), leg_units(scenario.robot)
-    yield from _array("output", "feature_error", "px", count=2 * points)
-    yield from _array("output", "depth", "m", count=points)
-    yield from _array("output", "position", "m", count=3)
-    yield from _array("output", "quaternion", "1", count=4)
-    yield from _array("output", "twist", _TWIST, count=6)
-    yield from _array("output", "wrench", _WRENCH, count=6)
-    yield from _array("output", "fuzzy_output", _WRENCH, count=6)
-    yield from _array("output", "leg_lengths", legs.coordinate, count=6)
-    yield from _array("output", "leg_forces", legs.effort, count=6)
+    yield from _signals(scenario, "output", quantities(scenario.target.count))
     for index, name in enumerate(METRICS):
         unit = metric_unit(name, scenario.robot)
         yield UnitVariable("output", "real", f"metric_{name}", "metrics", index, unit)
@@ -217,37 +217,30 @@ def _of_loop(scenario: Scenario, settings: _core.Settings) -> Iterator[UnitVaria
 
 
 def _of_plant(scenario: Scenario, settings: _core.Settings) -> Iterator[UnitVariable]:
-    points, legs = _points(settings), leg_units(scenario.robot)
-    yield from _array("input", "wrench", _WRENCH, count=6)
-    yield from _array("output", "features", "px", count=2 * points)
-    yield from _array("output", "depth", "m", count=points)
+    yield from _signals(scenario, "input", ("wrench",))
+    yield from _signals(scenario, "output", ("features", "depth"))
     yield UnitVariable("output", "real", "exposure", "exposure", unit="s")
-    yield from _array("output", "position", "m", count=3)
-    yield from _array("output", "quaternion", "1", count=4)
-    yield from _array("output", "twist", _TWIST, count=6)
-    yield from _array("output", "leg_lengths", legs.coordinate, count=6)
-    yield from _array("output", "leg_rates", legs.rate, count=6)
-    yield from _array("output", "feature_error", "px", count=2 * points)
-    yield from _array("output", "leg_forces", legs.effort, count=6)
+    measured = ("position", "quaternion", "twist", "leg_lengths", "leg_rates")
+    yield from _signals(scenario, "output", (*measured, "feature_error", "leg_forces"))
     yield UnitVariable("output", "whole", "outcome", "outcome")
 
 
 def _of_controller(scenario: Scenario, settings: _core.Settings) -> Iterator[UnitVariable]:
-    points, legs, hexapod = _points(settings), leg_units(scenario.robot), _core.Hexapod(settings.robot)
-    yield from _array("input", "features", "px", settings["target.desired_features"])
-    yield from _array("input", "depth", "m", -np.ones(points))
+    hexapod = _core.Hexapod(settings.robot)
+    starts = {
+        "features": settings["target.desired_features"],
+        "depth": -np.ones(scenario.target.count),
+        "position": hexapod.home_position,
+        "quaternion": hexapod.home_quaternion,
+        "leg_lengths": hexapod.home_lengths,
+    }
+    yield from _signals(scenario, "input", ("features", "depth"), starts)
     yield UnitVariable("input", "real", "exposure", "exposure", unit="s", start="-1.0")
-    yield from _array("input", "position", "m", hexapod.home_position)
-    yield from _array("input", "quaternion", "1", hexapod.home_quaternion)
-    yield from _array("input", "twist", _TWIST, count=6)
-    yield from _array("input", "leg_lengths", legs.coordinate, hexapod.home_lengths)
-    yield from _array("input", "leg_rates", legs.rate, count=6)
-    yield from _array("output", "wrench", _WRENCH, count=6)
-    yield from _array("output", "leg_forces", legs.effort, count=6)
-    yield from _array("output", "fuzzy_output", _WRENCH, count=6)
+    yield from _signals(scenario, "input", ("position", "quaternion", "twist", "leg_lengths", "leg_rates"), starts)
+    yield from _signals(scenario, "output", ("wrench", "leg_forces", "fuzzy_output"))
     yield UnitVariable("output", "whole", "status", "status")
     yield UnitVariable("output", "whole", "saturated", "saturated")
     if scenario.actuators.takes_positions:
-        yield from _array("output", "leg_positions", legs.coordinate, count=6)
+        yield from _signals(scenario, "output", ("leg_positions",))
     if not scenario.camera.latency_known:
-        yield from _array("output", "latency", "s", count=3)
+        yield from _signals(scenario, "output", ("latency",))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
@@ -16,7 +16,7 @@ from hexservo.campaigns.loop_numbers import LOOP_NUMBERS
 from hexservo.campaigns.plan import CampaignPlan
 from hexservo.campaigns.requirements import without_distance
 from hexservo.campaigns.search_steps import SearchSteps
-from hexservo.campaigns.tune_keys import TunePlan
+from hexservo.campaigns.tune_keys import TunePlan, Variable
 from hexservo.campaigns.worst_case import smallest_in_box
 from hexservo.run.variations import changes_of_run
 from hexservo.scenario.arrays import Array
@@ -129,12 +129,18 @@ class Candidates:
 
     def gains_of(self, places: Array) -> dict[str, Array]:
         """Return the gains of candidates, (n, ...) by key."""
-        found, start = {}, 0
-        for key, variable in self.asked.variables.items():
-            parts = variable.variation.in_box(places[:, start : start + len(variable.groups)])
-            start += len(variable.groups)
+        found = {}
+        for key, variable, shares in self.split(places):
+            parts = variable.variation.in_box(shares)
             found[key] = parts[:, 0] if variable.groups == (0,) else np.repeat(parts, variable.groups, axis=1)
         return found
+
+    def split(self, places: Array) -> Iterator[tuple[str, Variable, Array]]:
+        """Yield each variable with its key and its part of places, (..., dimension)."""
+        start = 0
+        for key, variable in self.asked.variables.items():
+            yield key, variable, places[..., start : start + len(variable.groups)]
+            start += len(variable.groups)
 
     def gains(self, place: Array) -> dict[str, Any]:
         """Return the gains of one candidate, for `Scenario.updated`."""

@@ -51,15 +51,7 @@ class Variation:
             Numbers above 0 and below 1, of any shape; the result has the same shape.
         """
         first, last = self.parameters[0], self.parameters[-1]
-        if self.kind == "normal":
-            drawn = first + last * ndtri(uniform)
-        elif self.kind == "choice":
-            count = len(self.parameters)
-            drawn = np.asarray(self.parameters)[np.minimum((uniform * count).astype(np.int64), count - 1)]
-        else:  # clipped, since rounding may pass an end
-            low, high = (np.log10(first), np.log10(last)) if self.kind == "log" else (first, last)
-            between = low + (high - low) * uniform
-            drawn = np.clip(exp10(between) if self.kind == "log" else between, first, last)
+        drawn = first + last * ndtri(uniform) if self.kind == "normal" else self._between(first, last, uniform)
         return np.asarray(drawn if self.clip is None else np.clip(drawn, *self.clip), dtype=float)
 
     @property
@@ -80,13 +72,16 @@ class Variation:
 
     def in_box(self, share: Array) -> Array:
         """Return numbers by their place in the box, from 0 to 1; the places of `log` and `choice` are of equal size."""
-        low, high = self.box
+        return self._between(*self.box, share)
+
+    def _between(self, low: float, high: float, share: Array) -> Array:
+        """Return the numbers at shares of the way between two: of `log` in their logarithms, of `choice` its own."""
         if self.kind == "choice":
             count = len(self.parameters)
             return np.array(self.parameters, dtype=float)[np.minimum((share * count).astype(np.int64), count - 1)]
-        if self.kind == "log":
-            return np.asarray(np.clip(exp10(np.log10(low) + (np.log10(high) - np.log10(low)) * share), low, high))
-        return np.asarray(np.clip(low + (high - low) * share, low, high))
+        start, end = (np.log10(low), np.log10(high)) if self.kind == "log" else (low, high)
+        found = start + (end - start) * share
+        return np.asarray(np.clip(exp10(found) if self.kind == "log" else found, low, high))  # rounding may pass an end
 
     def share_of(self, numbers: Array) -> Array:
         """Return the places of numbers in the box, the inverse of `in_box`; 0 or 1 beyond its ends."""

@@ -11,15 +11,15 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
 from types import FrameType
-from typing import Any, Protocol, TypeAlias
+from typing import Any, TypeAlias
 
 from hexservo.campaigns.chunks import Tally, tally_of
 from hexservo.campaigns.engines import Chunk, Engine, engine_of
-from hexservo.campaigns.intervals import anytime_interval, runs_for_bound
+from hexservo.campaigns.intervals import runs_for_bound
 from hexservo.campaigns.plan import CampaignPlan, load_plan
 from hexservo.campaigns.result import CampaignResult, is_complete, scenario_of_run, summary_of
 from hexservo.campaigns.store import KeptFileError, ShorterChunkError, Store, new_record
-from hexservo.run.progress import ProgressCallback, progress_bar
+from hexservo.run.progress import ProgressCallback, Report, reported
 from hexservo.run.publish import OutputError, named
 from hexservo.run.sealed import ResultError
 from hexservo.scenario.wording import above, number, wrong_type
@@ -255,38 +255,33 @@ def _result_of(future: Future[Chunk]) -> Chunk:
 # ---- Progress -------------------------------------------------------------------------------------------------------
 
 
-class _Report(Protocol):
-    """Called with what is kept, and how many runs of the current chunk are done."""
-
-    def __call__(self, state: _State, done: int) -> object:
-        """Report it."""
+_Report: TypeAlias = Callable[[_State, int], object]  # of what is kept, and how many runs of this chunk are done
 
 
 @contextlib.contextmanager
 def _reporting(progress: bool | ProgressCallback | None) -> Iterator[_Report]:
-    if progress is None or progress is False:
-        yield lambda state, done: None
-    elif callable(progress):
-        yield lambda state, done: progress(state.kept + done, _planned(state) or state.kept + done)
-    elif progress is True:
-        with progress_bar("runs") as draw:
-            begun: list[tuple[float, int]] = []
+    begun: list[tuple[float, int]] = []
 
-            def report(state: _State, done: int) -> None:
-                now, runs = time.monotonic(), state.kept + done
-                begun[:] = begun or [(now, runs)]
-                elapsed = now - begun[0][0]
-                rate = f"{number((runs - begun[0][1]) / elapsed)} runs/s, " if elapsed > 0 else ""
-                failures = state.tally.failures
-                high = anytime_interval(failures, state.tally.runs, state.plan.confidence, state.plan.mixture)[1]
-                needed = _planned(state)
-                planned = max(needed or 0, runs)
-                share = None if needed is None else runs / planned
-                draw(runs, planned, share, f"{rate}{failures} failures, probability <= {above(high, 2)}")
+    def to_function(function: ProgressCallback) -> _Report:
+        return lambda state, done: function(state.kept + done, _planned(state) or state.kept + done)
 
-            yield report
-    else:
-        raise wrong_type("progress", "True, a function or None", progress)
+    def to_bar(draw: Report) -> _Report:
+        def report(state: _State, done: int) -> None:
+            now, runs = time.monotonic(), state.kept + done
+            begun[:] = begun or [(now, runs)]
+            elapsed = now - begun[0][0]
+            rate = f"{number((runs - begun[0][1]) / elapsed)} runs/s, " if elapsed > 0 else ""
+            failures = state.tally.failures
+            high = state.plan.interval(failures, state.tally.runs)[1]
+            needed = _planned(state)
+            planned = max(needed or 0, runs)
+            share = None if needed is None else runs / planned
+            draw(runs, planned, share, f"{rate}{failures} failures, probability <= {above(high, 2)}")
+
+        return report
+
+    with reported(progress, "runs", to_function, to_bar) as report:
+        yield report or (lambda state, done: None)
 
 
 def _planned(state: _State) -> int | None:

@@ -9,10 +9,9 @@ import numpy as np
 from scipy.stats import rankdata
 
 from hexservo.campaigns.drawing import with_unit
-from hexservo.campaigns.intervals import anytime_interval
 from hexservo.campaigns.result import CampaignResult
 from hexservo.findings.evidence import Curves, Line, Section
-from hexservo.run.metrics import metric_unit
+from hexservo.run.metrics import metric_label
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.wording import above, below
 
@@ -84,7 +83,7 @@ def _interval(result: CampaignResult, failed: Mask) -> Curves:
     counts = np.cumsum(failed)
     places = np.unique(np.geomspace(min(10, len(failed)), len(failed), _POINTS).astype(int))
     plan = result.plan
-    ends = np.array([anytime_interval(int(counts[n - 1]), int(n), plan.confidence, plan.mixture) for n in places])
+    ends = np.array([plan.interval(int(counts[n - 1]), int(n)) for n in places])
     runs = places.astype(float)
     lines = [Line("upper end", runs, ends[:, 1]), Line("lower end", runs, np.where(ends[:, 0] > 0, ends[:, 0], np.nan))]
     shares = counts[places - 1] / runs
@@ -116,12 +115,11 @@ def _distributions(result: CampaignResult) -> list[Curves]:
         if not len(finite):
             continue
         shares = np.linspace(0, 1, _QUANTILES)
-        unit = metric_unit(requirement.name, result.plan.scenario.robot)
-        label = requirement.name.replace("_", " ")
+        label = metric_label(requirement.name, result.plan.scenario.robot)
         items.append(
             Curves(
-                label[0].upper() + label[1:],
-                f"{label} [{unit}]",
+                requirement.name.replace("_", " ").capitalize(),
+                label,
                 "share of runs",
                 [
                     Line("runs up to this value", np.quantile(finite, shares), shares * len(finite) / len(values)),

@@ -31,11 +31,11 @@ from hexservo.campaigns.file_keys import (
     VariantRule,
     VaryRule,
 )
-from hexservo.campaigns.intervals import JEFFREYS, RARE, Mixture
+from hexservo.campaigns.intervals import JEFFREYS, RARE, Mixture, anytime_interval
 from hexservo.campaigns.requirements import Requirement
 from hexservo.campaigns.tune_keys import TunePlan, TuneRule, Variable
 from hexservo.findings.check import needed_by
-from hexservo.run.metrics import asked_metrics
+from hexservo.run.metrics import OF_LIMITS, asked_metrics
 from hexservo.run.variant import ENVIRONMENT_VARIABLE, VariantError, available_variants, chosen_kernel
 from hexservo.run.variations import changes_of_run, checked_variations, known_key
 from hexservo.scenario.block import Block
@@ -51,11 +51,6 @@ from hexservo.scenario.yaml import ScenarioError, dump_yaml, read_yaml
 MAX_RUNS = 10**12
 CHUNK_SIZE = 5000
 MOST_LOG_EVERY = 10**9  # that a scenario may have
-_OF_LIMITS = {  # metrics that only some scenarios have
-    "peak_leg_speed": "robot.speed_limit",
-    "peak_base_joint": "robot.joint_limit",
-    "peak_platform_joint": "robot.joint_limit",
-}
 _DURATION, _DWELL = "simulation.duration", "metrics.dwell"
 _OF_TIMES = {"rms_error": "metrics.rms_start", "settling_time": _DWELL}  # metrics of runs that are long enough
 _ROUNDING = 1e-9  # of a bound that is the last time at which a run can settle
@@ -227,6 +222,10 @@ class CampaignPlan(Block):
         """The mixture of the intervals that hold at any stop."""
         return RARE if self.rare else JEFFREYS
 
+    def interval(self, failures: int, runs: int) -> tuple[float, float]:
+        """Return the interval of a failure probability, which holds at any stop (docs/campaigns.md, section 5)."""
+        return anytime_interval(failures, runs, self.confidence, self.mixture)
+
     def required_variant(self) -> str:
         """Return the compiled variant that its runs need, which is the one that this process uses.
 
@@ -310,7 +309,7 @@ def _at_the_ends(plan: CampaignPlan) -> Iterator[Scenario]:
 
 def _without_value(plan: CampaignPlan, metric: str) -> str:
     """Return why no run of a campaign has a value of a metric; "" where some may."""
-    limit = _OF_LIMITS.get(metric)
+    limit = OF_LIMITS.get(metric)
     if limit is not None and limit not in plan.vary and value_at(plan.scenario, limit) is None:
         return f"{metric}: expected {limit} in the scenario, without which no run has a value, got null"
     needed = _OF_TIMES.get(metric)

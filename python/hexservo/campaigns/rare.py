@@ -17,7 +17,7 @@ from hexservo.campaigns.judging import Judge
 from hexservo.campaigns.plan import CampaignPlan, load_plan
 from hexservo.campaigns.words import of_common_noise
 from hexservo.findings.display import Findings
-from hexservo.findings.evidence import Cell, Column, Section, Table
+from hexservo.findings.evidence import Column, Section, Table, picked
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.fields import described
 from hexservo.scenario.wording import number, whole_number
@@ -102,10 +102,9 @@ class RareFailures(Findings):
             ]
         if (common := self.plan.common_noise) is not None:
             sentences.append(of_common_noise("this holds", common))
-        rows: list[list[Cell]] = [[place, margin] for place, margin in enumerate(levels.thresholds)]
-        table = Table("Levels", (Column("level"), Column("margin")), rows, "", "docs/campaigns.md")
-        data = {"probability": levels.probability, "variation": levels.variation, "evaluations": levels.evaluations}
-        data |= {"noise_decides": levels.noise_decides, "not_rare": levels.not_rare}
+        columns, rows = (Column("level"), Column("margin")), list(enumerate(levels.thresholds))
+        table = Table("Levels", columns, rows, "", "docs/campaigns.md")
+        data = picked(levels, "probability variation evaluations noise_decides not_rare")
         return Section("rare_failures", "Rare failures", sentences, [table], "open", data)
 
 

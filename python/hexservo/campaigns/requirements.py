@@ -57,13 +57,25 @@ class Requirement:
             (n,): distance to the bound in parts of the scale; at least 0 where the requirement holds, else negative;
             at most 1e100 either way; NaN where the metric is.
         """
-        scale = abs(self.bound) if self.scale is None else self.scale
         with np.errstate(over="ignore"):
-            room = (self.bound - values if self.comparison in ("<=", "<") else values - self.bound) / scale
+            room = (self.bound - values if self._is_upper else values - self.bound) / self._unit
         room = np.clip(room, -_LARGEST, _LARGEST)
         holds = _COMPARISONS[self.comparison](values, self.bound)
         found = np.where(holds, np.maximum(room, 0.0), np.minimum(room, _FAILED_BY_NOTHING))
         return np.where(np.isnan(values), np.nan, found)
+
+    def bound_at(self, margin: float) -> float:
+        """Return the bound, in the metric's unit, that a run of this margin meets exactly."""
+        return self.bound - (margin if self._is_upper else -margin) * self._unit
+
+    @property
+    def _is_upper(self) -> bool:
+        return self.comparison in ("<=", "<")
+
+    @property
+    def _unit(self) -> float:
+        """What a margin of 1 is, in the metric's unit."""
+        return abs(self.bound) if self.scale is None else self.scale
 
 
 def run_margins(

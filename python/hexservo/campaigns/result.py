@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hexservo.campaigns.chunks import Tally, tally_of
-from hexservo.campaigns.intervals import anytime_interval, clopper_pearson
+from hexservo.campaigns.intervals import clopper_pearson
 from hexservo.campaigns.plan import MOST_LOG_EVERY, CampaignPlan
 from hexservo.campaigns.store import Store, read_plan
 from hexservo.campaigns.words import summary_section
@@ -263,7 +263,7 @@ def _written(value: Any) -> str:
 
 def summary_of(plan: CampaignPlan, record: dict[str, Any], tally: Tally) -> dict[str, Any]:
     """Return what summary.json holds: counts, intervals and the worst runs (docs/campaigns.md, section 4)."""
-    interval = anytime_interval(tally.failures, tally.runs, plan.confidence, plan.mixture)
+    interval = plan.interval(tally.failures, tally.runs)
     fixed = record["fixed_runs"] is not None and tally.runs == record["fixed_runs"]
     return {
         "campaign": record["campaign"],
@@ -285,7 +285,7 @@ def summary_of(plan: CampaignPlan, record: dict[str, Any], tally: Tally) -> dict
             {
                 "holds": str(requirement),
                 "failures": failed,
-                "interval": list(anytime_interval(failed, tally.runs, plan.confidence, plan.mixture)),
+                "interval": list(plan.interval(failed, tally.runs)),
             }
             for requirement, failed in zip(plan.require, tally.failed, strict=True)
         ],
@@ -301,4 +301,4 @@ def is_complete(plan: CampaignPlan, tally: Tally) -> bool:
         return True
     if plan.until is None or tally.runs == 0:
         return False
-    return plan.until.decided(*anytime_interval(tally.failures, tally.runs, plan.confidence, plan.mixture))
+    return plan.until.decided(*plan.interval(tally.failures, tally.runs))

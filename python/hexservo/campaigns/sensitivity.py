@@ -19,7 +19,7 @@ from hexservo.campaigns.judging import Judge
 from hexservo.campaigns.plan import CampaignPlan, load_plan
 from hexservo.campaigns.words import of_common_noise
 from hexservo.findings.display import Findings
-from hexservo.findings.evidence import Bars, Cell, Column, Item, Section, Share, Table
+from hexservo.findings.evidence import Bars, Column, Item, Section, Share, Table
 from hexservo.run.metrics import METRICS
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.fields import described
@@ -91,16 +91,14 @@ class Sensitivity(Findings):
         items: list[Item] = []
         if "margin" in self.indices:
             found = self.indices["margin"]
-            rows: list[list[Cell]] = []
-            for place in np.argsort(-found.total, kind="stable")[:_SHOWN]:
-                first, total = found.first_interval[place], found.total_interval[place]
-                shares = (found.first[place], *first, found.total[place], *total)
-                rows.append([self.inputs[place], *map(float, shares)])
+            places = np.argsort(-found.total, kind="stable")[:_SHOWN]
+            shares = np.column_stack([found.first, found.first_interval, found.total, found.total_interval])
+            rows = [(self.inputs[place], *shares[place].tolist()) for place in places]
             heads = ("first order", "from", "to", "total", "from", "to")
             columns = (Column("input"), *(Column(head, format=".2f") for head in heads))
             note = f"Sobol indices of the margin with bootstrap intervals at 95 %, {self.runs} runs, seed {self.seed}."
             items += [
-                self._bars("margin", np.argsort(-found.total, kind="stable")[:_SHOWN]),
+                self._bars("margin", places),
                 Table("Sensitivity of the margin", columns, rows, note, "docs/campaigns.md"),
             ]
         data = {name: {"first": each.first, "total": each.total} for name, each in self.indices.items()}

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexservo.campaigns.candidates import Candidates, Judged, ranking
+from hexservo.campaigns.worst_case import evolution
 from hexservo.scenario.arrays import Array
 
 _SIGMA = 0.25  # first spread of the candidates, in parts of the ranges
@@ -60,20 +61,16 @@ def _evolve(
     candidates: Candidates, start: Array, generations: int, order: Callable[[Array], NDArray[np.intp]], seed: int
 ) -> Array:
     """Return the favourite of CMA-ES, which sees the order of each generation alone; each has other noise."""
-    import cma
-
-    single = len(start) == 1  # which the method does not take
-    options = {
-        "bounds": [0, 1],
-        "seed": candidates.seed + 1 + seed,
-        "verbose": -9,
-        "maxiter": generations,
-        "tolfun": 0,
-        "tolfunhist": 0,
-        "tolflatfitness": generations + 1,
-        "tolstagnation": generations + 1,
-    }
-    strategy = cma.CMAEvolutionStrategy(np.append(start, 0.5) if single else start, _SIGMA, options)
+    strategy = evolution(
+        start,
+        _SIGMA,
+        seed=candidates.seed + 1 + seed,
+        maxiter=generations,
+        tolfun=0,
+        tolfunhist=0,
+        tolflatfitness=generations + 1,
+        tolstagnation=generations + 1,
+    )
     while not strategy.stop():
         candidates.renew()
         asked = strategy.ask()

@@ -14,7 +14,7 @@ from hexservo.campaigns.requirements import Requirement
 from hexservo.campaigns.result import CampaignResult
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict, picked
-from hexservo.run.metrics import metric_unit
+from hexservo.run.metrics import metric_label, metric_unit
 from hexservo.scenario.fields import described
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number
@@ -256,18 +256,9 @@ class TuneResult(Findings):
                 if np.isfinite(lowest[rounds == one]).any()
             ]
             if lines:
-                label = name.replace("_", " ")
-                title = f"Least {label} of feasible candidates"
-                items.append(
-                    Curves(
-                        title,
-                        "runs",
-                        f"{label} [{metric_unit(name, self.scenario.robot)}]",
-                        lines,
-                        note=note,
-                        page=_PAGE,
-                    )
-                )
+                title = f"Least {name.replace('_', ' ')} of feasible candidates"
+                label = metric_label(name, self.scenario.robot)
+                items.append(Curves(title, "runs", label, lines, note=note, page=_PAGE))
         return items
 
     def _front_sentences(self) -> list[str]:
@@ -278,7 +269,7 @@ class TuneResult(Findings):
         ]
 
     def _front(self) -> list[Curves]:
-        names = [f"{name.replace('_', ' ')} [{metric_unit(name, self.scenario.robot)}]" for name in self.minimise]
+        names = [metric_label(name, self.scenario.robot) for name in self.minimise]
         inside = np.array([point.values for point in self.front])
         outside = np.array([point.held_out for point in self.front])
         lines = [

@@ -306,19 +306,17 @@ def _relaxations(candidates: Candidates, plan: CampaignPlan) -> tuple[Relaxation
             distances = judged.distances[:, column]
             margin = np.nanmin([nearest, *distances])
             kept[:, column] = np.isfinite(distances)
-        scale = abs(one.bound) if one.scale is None else one.scale
-        bound = one.bound - (margin if one.comparison in ("<=", "<") else -margin) * scale
         failures = int((~kept.all(axis=1)).sum())
-        found.append(Relaxation(one, float(bound), float(-margin), candidates.gains(place), failures, runs))
+        found.append(
+            Relaxation(one, one.bound_at(float(margin)), float(-margin), candidates.gains(place), failures, runs)
+        )
     return tuple(sorted(found, key=lambda each: each.share))
 
 
 def edges_of(candidates: Candidates, place: Array) -> tuple[Edge, ...]:
     """Return the gains of a candidate that are near an end of their range, in the scale of the range."""
-    found, start = [], 0
-    for key, variable in candidates.asked.variables.items():
-        shares = place[start : start + len(variable.groups)]
-        start += len(variable.groups)
+    found = []
+    for key, variable, shares in candidates.split(place):
         for share, size, last in zip(shares, variable.groups, np.cumsum(variable.groups), strict=True):
             gain = key
             if len(variable.groups) > 1:

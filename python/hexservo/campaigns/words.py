@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from hexservo.findings.evidence import Cell, Column, Section, Table, Verdict
+from hexservo.run.metrics import OF_LIMITS
 from hexservo.scenario.wording import above, below, number
 
 _PAGE = "docs/campaigns.md"
@@ -15,9 +16,7 @@ _REASONS = {  # why a completed run has no value of a metric (docs/model.md, sec
     "settling_time": "they are not within metrics.band for metrics.dwell at their end",
     "rms_error": "they end before metrics.rms_start",
     "chatter": "they end where they start",
-    "peak_leg_speed": "robot.speed_limit is null",
-    "peak_base_joint": "robot.joint_limit is null",
-    "peak_platform_joint": "robot.joint_limit is null",
+    **{name: f"{key} is null" for name, key in OF_LIMITS.items()},
 }
 
 

@@ -16,7 +16,7 @@ from hexservo.campaigns.store import WORST, require_own_scenario, write_scenario
 from hexservo.campaigns.words import of_common_noise
 from hexservo.findings.diagnosis import diagnose
 from hexservo.findings.display import Findings
-from hexservo.findings.evidence import Cell, Column, Section, Table
+from hexservo.findings.evidence import Column, Section, Table, picked
 from hexservo.run.simulation import simulate, uninterrupted
 from hexservo.run.variations import changes_of_run
 from hexservo.scenario.arrays import Array
@@ -76,16 +76,10 @@ class WorstCase(Findings):
             )
         if self.diagnosis is not None and self.diagnosis.failed:
             sentences.append(self.diagnosis.section().sentences[0])
-        rows: list[list[Cell]] = [["all together", self.margin]]
-        rows += [[name, margin] for name, margin in self.margins]
-        table = Table("Smallest margin found", (Column("requirement"), Column("margin")), rows, "", "docs/campaigns.md")
-        data: dict[str, Any] = {
-            "margin": self.margin,
-            "margins": dict(self.margins),
-            "runs": self.runs,
-            "seed": self.seed,
-            "common_noise": self.common_noise,
-        }
+        columns, rows = (Column("requirement"), Column("margin")), [("all together", self.margin), *self.margins]
+        table = Table("Smallest margin found", columns, rows, "", "docs/campaigns.md")
+        margins = {"margin": self.margin, "margins": dict(self.margins)}
+        data = {**margins, **picked(self, "runs seed common_noise")}
         return Section("worst_case", "Worst case", sentences, [table], "bad" if self.margin < 0 else "good", data)
 
 
@@ -200,8 +194,6 @@ def smallest_in_box(
     seed
         Of the search, at least 1.
     """
-    import cma
-
     random = np.random.default_rng(seed)
     best, smallest, left = start, math.inf, evaluations
 
@@ -218,10 +210,7 @@ def smallest_in_box(
     begin, population = start, min(max(_POPULATION, 4 + int(3 * math.log(len(start)))), max(evaluations // 4, 2))
     kept = min(6 * len(start), evaluations // 4)  # for the entries' ends
     while left >= population + kept:
-        # one coordinate more where there is one alone, which the method does not take
-        padded = np.append(begin, 0.5) if len(begin) == 1 else begin
-        options = {"bounds": [0, 1], "seed": seed, "popsize": population, "verbose": -9, "tolfun": _STALLED}
-        strategy = cma.CMAEvolutionStrategy(padded, _SIGMA, options)
+        strategy = evolution(begin, _SIGMA, seed=seed, popsize=population, tolfun=_STALLED)
         while left >= population + kept and not strategy.stop():
             candidates = strategy.ask()
             strategy.tell(candidates, tried(np.array(candidates)[:, : len(start)]).tolist())
@@ -235,3 +224,19 @@ def smallest_in_box(
             improved = smallest < before
         begin, seed, population = random.random(len(start)), seed + 1, min(2 * population, max(left // 4, 2))
     return best, smallest
+
+
+def evolution(start: Array, spread: float, **options: Any) -> Any:
+    """Return CMA-ES in the unit box; its points have one entry more than `start` has, where that is one alone.
+
+    Parameters
+    ----------
+    start, spread
+        (d,) of the first mean, and the first standard deviation.
+    options
+        Of the package `cma`.
+    """
+    import cma
+
+    padded = np.append(start, 0.5) if len(start) == 1 else start  # the method takes no single entry
+    return cma.CMAEvolutionStrategy(padded, spread, {"bounds": [0, 1], "verbose": -9, **options})

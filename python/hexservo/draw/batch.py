@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from hexservo.draw.style import BLUE, PAGE, VERMILION, styled
-from hexservo.run.metrics import metric_unit
+from hexservo.run.metrics import metric_label
 
 if TYPE_CHECKING:
     from hexservo.run.batch import BatchResult
@@ -31,7 +31,7 @@ def batch_figure(batch: BatchResult) -> Figure:
     done = batch.outcome == "completed"
     for axes, name in zip(figure.subplots(1, len(drawn), squeeze=False)[0], drawn, strict=True):
         values = batch.metrics[name]
-        label = f"{name.replace('_', ' ')} [{metric_unit(name, batch.scenario.robot)}]"
+        label = metric_label(name, batch.scenario.robot)
         if over is not None:
             key, places = over
             for shown, colour, text in ((done, BLUE, "completed"), (~done, VERMILION, "ended early")):

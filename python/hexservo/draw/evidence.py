@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from hexservo.draw.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION, styled
 from hexservo.findings.evidence import Bars, Curves, HeatMap, Line
-from hexservo.run.samples import extreme_samples
+from hexservo.run.samples import path_samples
 from hexservo.scenario.arrays import Array
 
 _INKS = (BLUE, VERMILION, GREEN, BLACK, PURPLE, ORANGE, GREY)
@@ -83,5 +83,5 @@ def _thinned(line: Line) -> tuple[Array, Array]:
     x, y = np.asarray(line.x, dtype=float), np.asarray(line.y, dtype=float)
     if line.style == "points" or not np.isfinite(y).all():
         return x, y
-    kept = np.union1d(extreme_samples(x), extreme_samples(y))
+    kept = path_samples(x, y)
     return x[kept], y[kept]

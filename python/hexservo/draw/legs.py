@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, overload
 
-import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from hexservo.draw.panels import describe, fill_panels, given_axes, note_outcome, place_panels, whole_run
-from hexservo.draw.style import BLACK, LEG_INKS, PAGE, styled
+from hexservo.draw.panels import draw_over_time
+from hexservo.draw.style import PAGE, styled
 from hexservo.run.leg_motion import leg_motions
 from hexservo.run.result import Result, require_result
+from hexservo.run.time_panels import leg_panel
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -56,22 +57,8 @@ def leg_limits(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | None = N
         For any other number of axes.
     """
     require_result(result)
-    drawn = leg_motions(result)
-    given = None if axes is None else given_axes(axes, len(drawn))
-    figure = Figure(figsize=(PAGE, _BOTTOM + _TOP + _HEIGHT + _STEP * (len(drawn) - 1)))
-    for number, motion in enumerate(drawn):
-        last = number == len(drawn) - 1
-        values = [motion.values, np.array(motion.in_sight)] if motion.in_sight else [motion.values]
-        if given is None:
-            bottom = _BOTTOM + _STEP * (len(drawn) - 1 - number)
-            panels = place_panels(figure, result, (0.68, bottom, 6.04, _HEIGHT), values)
-        else:
-            panels = whole_run(given[number], result, values)
-        for panel in panels:
-            for level in motion.in_sight:
-                panel.axes.axhline(level, color=BLACK, linewidth=1, linestyle=":", gid=f"limit {motion.limit.kind}")
-        levels = {"limit": motion.in_sight[-1]} if motion.in_sight else {}
-        fill_panels(panels, result, motion.values, [f"leg {leg}" for leg in range(1, 7)], LEG_INKS, 1, levels)
-        describe(panels, motion.label, f"{motion.title} (limit: {motion.limit.text})", time=last)
-    note_outcome(figure if given is None else given[-1], result)
-    return figure if given is None else given
+    motions = leg_motions(result)
+    shown = [replace(leg_panel(motion), title=f"{motion.title} (limit: {motion.limit.text})") for motion in motions]
+    boxes = [(0.68, _BOTTOM + _STEP * number, 6.04, _HEIGHT) for number in reversed(range(len(shown)))]
+    figure = Figure(figsize=(PAGE, _BOTTOM + _TOP + _HEIGHT + _STEP * (len(shown) - 1)))
+    return draw_over_time(figure, result, shown, boxes, axes)

@@ -13,12 +13,11 @@ from matplotlib.markers import MarkerStyle
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
-from hexservo.draw.style import BLACK, FAINT, GREY, THIN, VERMILION, Ink, short_number
+from hexservo.draw.style import AXES_INKS, BLACK, FAINT, GREY, LEG_INKS, THIN, VERMILION, Ink, short_number
 from hexservo.run.leg_limits import exceeded_limits
 from hexservo.run.metrics import metrics
-from hexservo.run.samples import extreme_samples as _extreme_samples
-from hexservo.run.samples import moving_mean as _moving_mean
-from hexservo.run.samples import parts as _parts
+from hexservo.run.samples import axis_range, broken_parts, extreme_samples, moving_mean, time_range
+from hexservo.run.time_panels import TimePanel
 from hexservo.scenario.arrays import Array
 
 if TYPE_CHECKING:
@@ -75,9 +74,7 @@ def place_panels(
         The values that the y axis covers.
     """
     left, bottom, width, height = box
-    parts = _parts(result)
-    if len(parts) == 2 and result.time[parts[0]][-1] > result.time[-1] / 2:
-        parts = [slice(0, len(result.time))]
+    parts = broken_parts(result)
     gap = 0.1
     widths = [width] if len(parts) == 1 else [0.62 * (width - gap), 0.38 * (width - gap)]
     panels: list[Panel] = []
@@ -114,14 +111,11 @@ def draw_break(first: Axes, second: Axes) -> None:
 
 def set_limits(axes: Axes, time: Array, *values: Array) -> None:
     """Limit the x axis to the time, and the y axis to the values with a margin; rounding noise is not magnified."""
-    begin, end = float(time[0]), float(time[-1])
-    axes.set_xlim(begin, end if end > begin else begin + 1e-3)
-    low, high = min(float(part.min()) for part in values), max(float(part.max()) for part in values)
-    largest = max(abs(low), abs(high))
-    middle, half = low / 2 + high / 2, max(0.56 * (high - low), 4e-3 * largest, 1e-4)
-    axes.set_ylim(middle - half, middle + half)
+    axes.set_xlim(time_range(time))
+    axes.set_ylim(axis_range(*values))
+    largest = max(float(np.abs(part).max()) for part in values)
     axes.xaxis.set_major_locator(MaxNLocator(min(10, max(2, int(size_of(axes)[0] / 0.34))), steps=[1, 2, 5, 10]))
-    for axis, size in ((axes.xaxis, abs(end)), (axes.yaxis, largest)):
+    for axis, size in ((axes.xaxis, abs(float(time[-1]))), (axes.yaxis, largest)):
         if not 1e-3 < size < 1e5:
             axis.set_major_formatter(FuncFormatter(short_number))  # a common power of ten would lie below the title
 
@@ -161,6 +155,42 @@ def describe(panels: Sequence[Panel], label: str, title: str, *, time: bool = Fa
             panel.axes.tick_params(axis="x", labelbottom=False)
 
 
+def draw_over_time(
+    figure: Figure,
+    result: Result,
+    shown: Sequence[TimePanel],
+    boxes: Sequence[tuple[float, float, float, float]],
+    axes: Sequence[Axes] | NDArray[Any] | None,
+    mean: int = 1,
+) -> Figure | tuple[Axes, ...]:
+    """Draw panels and how the run ended, and return the figure, or the caller's axes.
+
+    Parameters
+    ----------
+    boxes
+        Of each panel in the figure, as for `place_panels`.
+    axes
+        To draw the whole run into, as many as there are panels; None: the figure.
+    mean
+        As for `fill_panels`.
+    """
+    given = None if axes is None else given_axes(axes, len(shown))
+    lowest = min(bottom for _, bottom, _, _ in boxes)
+    for number, (drawn, box) in enumerate(zip(shown, boxes, strict=True)):
+        if given is None:
+            panels = place_panels(figure, result, box, drawn.covered)
+        else:
+            panels = whole_run(given[number], result, drawn.covered)
+        for panel in panels:
+            for level in drawn.levels:
+                panel.axes.axhline(level, color=BLACK, linewidth=1, linestyle=":", gid=drawn.kind)
+        inks = (LEG_INKS if drawn.of == "legs" else AXES_INKS)[drawn.first : drawn.first + len(drawn.names)]
+        fill_panels(panels, result, drawn.values, drawn.names, inks, mean, drawn.named)
+        describe(panels, drawn.label, drawn.title, time=box[1] == lowest)
+    note_outcome(figure if given is None else given[-1], result)
+    return figure if given is None else given
+
+
 def fill_panels(
     panels: Sequence[Panel],
     result: Result,
@@ -179,7 +209,7 @@ def fill_panels(
     levels
         Constants, drawn and labelled in black.
     """
-    means = _moving_mean(values, mean)
+    means = moving_mean(values, mean)
     for axes, part, _ in panels:
         if mean > 1:
             thin = [Ink(ink.colour) for ink in inks]
@@ -190,7 +220,7 @@ def fill_panels(
     if not panels[-1].fixed:
         handles = [
             Line2D([], [], color=ink.colour, linestyle=ink.dashes, label=name)
-            for name, ink in zip(names, inks, strict=False)  # there may be more inks than lines
+            for name, ink in zip(names, inks, strict=True)
         ]
         handles += [Line2D([], [], color=BLACK, linestyle=":", label=name) for name in levels or {}]
         panels[-1].axes.legend(handles=handles, ncols=-(-len(handles) // 4), fontsize="small")
@@ -203,7 +233,7 @@ def draw_lines(axes: Axes, time: Array, values: Array, names: Sequence[str], ink
     """Draw each column as a line, or as dots if there are too few samples."""
     dots: dict[str, Any] = {"marker": "o", "markersize": 2.5} if len(time) < 3 else {}
     for column, name, ink in zip(values.T, names, inks, strict=True):
-        kept = _extreme_samples(column)
+        kept = extreme_samples(column)
         axes.plot(time[kept], column[kept], color=ink.colour, linestyle=ink.dashes, gid=name, **dots, **looks)
 
 

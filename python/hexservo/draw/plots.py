@@ -29,19 +29,17 @@ from hexservo.draw.panels import (
     draw_label,
     draw_legend,
     draw_lines,
+    draw_over_time,
     farther_apart,
     fill_panels,
     free_place,
-    given_axes,
     label_ends,
     note_outcome,
-    place_panels,
     point_the_way,
     set_limits,
     whole_run,
 )
 from hexservo.draw.style import (
-    AXES_INKS,
     BLACK,
     BLUE,
     COLUMN,
@@ -62,10 +60,9 @@ from hexservo.draw.wrench import control_wrench
 from hexservo.run.leg_limits import exceeded_limits, limits_of_motion
 from hexservo.run.metrics import metrics
 from hexservo.run.result import Result, require_result
-from hexservo.run.samples import ImageView, feature_names, image_views, vertical
-from hexservo.run.samples import extreme_samples as _extreme_samples
+from hexservo.run.samples import ImageView, feature_names, image_views, path_samples
 from hexservo.run.samples import parts as _parts
-from hexservo.run.samples import turns_from_home as _turns_from_home
+from hexservo.run.time_panels import motion_panels
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.pixels import desired_features
@@ -321,22 +318,8 @@ def platform_motion(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | Non
         For any other number of axes.
     """
     require_result(result)
-    displacement = 1e3 * (result.position - np.asarray(result.scenario.robot.home_position))
-    rotation = 1e3 * _turns_from_home(result, result.quaternion)
-    figure = Figure(figsize=(PAGE, 3.6))
-    given = None if axes is None else given_axes(axes, 2)
-    if given is None:
-        upper = place_panels(figure, result, (0.68, 2.01, 6.04, 1.3), [displacement])
-        lower = place_panels(figure, result, (0.68, 0.48, 6.04, 1.3), [rotation])
-    else:
-        upper = whole_run(given[0], result, [displacement])
-        lower = whole_run(given[1], result, [rotation])
-    fill_panels(upper, result, displacement, ["x", "y", "z"], AXES_INKS)
-    fill_panels(lower, result, rotation, ["θx", "θy", "θz"], AXES_INKS)
-    describe(upper, "displacement [mm]", f"Position relative to home, in B{vertical(result)}")
-    describe(lower, "rotation vector [mrad]", "Orientation relative to home: axis times angle, in B", time=True)
-    note_outcome(figure if given is None else given[1], result)
-    return figure if given is None else given
+    boxes = [(0.68, bottom, 6.04, 1.3) for bottom in (2.01, 0.48)]
+    return draw_over_time(Figure(figsize=(PAGE, 3.6)), result, motion_panels(result), boxes, axes)
 
 
 def paper_images(result: Result) -> dict[str, bytes]:
@@ -414,7 +397,7 @@ def _draw_paths(axes: Axes, result: Result, view: ImageView, *, named: bool = Tr
     half = float(view.half.min())
     for number, (path, goal) in enumerate(zip(features.swapaxes(0, 1), goals, strict=True), start=1):
         colour = _point_colour(number - 1)
-        kept = np.union1d(_extreme_samples(path[:, 0]), _extreme_samples(path[:, 1]))
+        kept = path_samples(*path.T)
         axes.plot(path[kept, 0], path[kept, 1], color=colour, linewidth=0.8, gid=f"path {number}")
         for name, place, mark in (("start", path[0], _START), ("end", path[-1], _END), ("goal", goal, _GOAL)):
             looks = {"markerfacecolor": colour, **mark}

@@ -5,23 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, overload
 
-import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from hexservo.draw.panels import (
-    describe,
-    draw_legend,
-    fill_panels,
-    given_axes,
-    note_outcome,
-    place_panels,
-    whole_run,
-)
-from hexservo.draw.style import AXES_INKS, BLACK, FAINT, GREY, LEG_INKS, PAGE, THIN, styled
+from hexservo.draw.panels import draw_legend, draw_over_time
+from hexservo.draw.style import BLACK, FAINT, GREY, PAGE, THIN, styled
 from hexservo.run.result import Result, require_result
-from hexservo.run.samples import force_panels, mean_samples, moment_unit
+from hexservo.run.samples import mean_period, mean_samples
+from hexservo.run.time_panels import wrench_panels
 from hexservo.scenario.leg_units import leg_units
 
 if TYPE_CHECKING:
@@ -67,50 +59,20 @@ def control_wrench(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | None
         For any other number of axes.
     """
     require_result(result)
-    forces = force_panels(result)
-    unit, per_newton_metre = moment_unit(result)
-    moment = per_newton_metre * result.wrench[:, 3:]
+    shown = wrench_panels(result)
     mean = mean_samples(result.time)
-    drawn = [[result.wrench[:, panel.columns], *map(np.array, panel.weights.values())] for panel in forces]
-    shown = [*drawn, [moment], [result.leg_forces]]
+    robot = result.scenario.robot
     figure = Figure(figsize=(PAGE, 4.68))
-    given = None if axes is None else given_axes(axes, 4)
-    if given is None:
-        boxes = [*((0.68, bottom, 2.4, 1.1) for bottom in (3.16, 1.82, 0.48)), (4.2, 0.48, 2.5, 3.78)]
-        *rows, legs = (place_panels(figure, result, box, values) for box, values in zip(boxes, shown, strict=True))
-    else:
-        *rows, legs = (whole_run(place, result, values) for place, values in zip(given, shown, strict=True))
-    for panels, force in zip(rows, forces, strict=False):  # below them is the moment
-        for panel in panels:
-            for weight in force.weights.values():
-                panel.axes.axhline(weight, color=BLACK, linewidth=1, linestyle=":", gid="weight")
-        values, inks = result.wrench[:, force.columns], AXES_INKS[force.columns]
-        fill_panels(panels, result, values, force.names, inks, mean, force.weights)
-        describe(panels, "force [N]", force.title)
-    fill_panels(rows[2], result, moment, ["mx", "my", "mz"], AXES_INKS, mean)
-    describe(rows[2], f"moment [{unit}]", "Moment, in B", time=True)
-    limit, units = result.scenario.robot.force_limit, leg_units(result.scenario.robot)
-    low, high = legs[0].axes.get_ylim()
-    limits = [level for level in (-limit, limit) if low < level < high]
-    for panel in legs:
-        for level in limits:
-            panel.axes.axhline(level, color=BLACK, linewidth=1, linestyle=":", gid="limit force")
-    names = [f"leg {leg}" for leg in range(1, 7)]
-    fill_panels(legs, result, result.leg_forces, names, LEG_INKS, mean, {"limit": limits[-1]} if limits else {})
-    describe(legs, *units.efforts, time=True)
-    if given is None:
-        explained = {}
-        if mean > 1:
-            period = 1e3 * mean * float(np.median(np.diff(result.time)))
-            explained["samples"] = Line2D([], [], color=GREY, linewidth=THIN, alpha=FAINT)
-            explained[f"mean over {period:.3g} ms"] = Line2D([], [], color=GREY)
-        if limits:
-            explained[f"limit: {limit:.4g} {units.effort}"] = Line2D([], [], color=BLACK, linestyle=":")
-        if explained:
-            draw_legend(figure, explained)
-        if result.scenario.actuators.kind == "position":
-            figure.text(
-                0.01, 0.985, "What the motion takes; the law commands positions", fontsize=7, va="top", color=GREY
-            )
-    note_outcome(figure if given is None else given[-1], result)
-    return figure if given is None else given
+    explained = {}
+    if mean > 1:
+        explained["samples"] = Line2D([], [], color=GREY, linewidth=THIN, alpha=FAINT)
+        explained[f"mean over {mean_period(result.time, mean)}"] = Line2D([], [], color=GREY)
+    if shown[-1].levels:
+        limit = f"limit: {robot.force_limit:.4g} {leg_units(robot).effort}"
+        explained[limit] = Line2D([], [], color=BLACK, linestyle=":")
+    if explained:
+        draw_legend(figure, explained)
+    if result.scenario.actuators.kind == "position":
+        figure.text(0.01, 0.985, "What the motion takes; the law commands positions", fontsize=7, va="top", color=GREY)
+    boxes = [*((0.68, bottom, 2.4, 1.1) for bottom in (3.16, 1.82, 0.48)), (4.2, 0.48, 2.5, 3.78)]
+    return draw_over_time(figure, result, shown, boxes, axes, mean)

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from hexservo.findings.evidence import Bars, Curves, HeatMap, Line
 from hexservo.report.documentation import anchor_of, is_page
 from hexservo.report.html import Html, element, json_script, paragraphs
-from hexservo.run.samples import extreme_samples
+from hexservo.run.samples import extreme_samples, path_samples
 from hexservo.scenario.arrays import Array
 
 Spec: TypeAlias = dict[str, Any]
@@ -99,13 +99,14 @@ def curves(item: Curves) -> Html:
             _logarithmic([np.asarray(getattr(line, axis[0]), float) for line in item.lines]) if is_log else {}
         )
     names = ", ".join(line.name for line in item.lines if line.name)
-    return chart(
-        {"data": data, "layout": layout},
-        item.title,
-        note=item.note,
-        page=item.page,
-        alt=f"{item.title}: {item.y_label} over {item.x_label}" + (f"; lines: {names}" if names else ""),
-    )
+    alt = f"{item.y_label} over {item.x_label}" + (f"; lines: {names}" if names else "")
+    return _drawn(item, data, layout, alt)
+
+
+def _drawn(item: Curves | HeatMap | Bars, data: list[Spec], layout: Spec, alt: str, height: int = 300) -> Html:
+    """Return an item as a chart; `alt` follows its title in the alternative text for screen readers."""
+    spec, alt = {"data": data, "layout": layout}, f"{item.title}: {alt}"
+    return chart(spec, item.title, note=item.note, page=item.page, height=height, alt=alt)
 
 
 def _logarithmic(values: Sequence[Array]) -> Spec:
@@ -150,15 +151,8 @@ def heat_map(item: HeatMap) -> Html:
         for level in item.levels
     ]
     data += [_line(line, number, _MAP_COLOURS) for number, line in enumerate(item.lines)]
-    layout = axes(item.x_label, item.y_label)
-    return chart(
-        {"data": data, "layout": layout},
-        item.title,
-        note=item.note,
-        page=item.page,
-        height=360,
-        alt=f"{item.title}: map of {item.z_label} over {item.x_label} and {item.y_label}",
-    )
+    alt = f"map of {item.z_label} over {item.x_label} and {item.y_label}"
+    return _drawn(item, data, axes(item.x_label, item.y_label), alt, height=360)
 
 
 def bars(item: Bars) -> Html:
@@ -188,14 +182,8 @@ def bars(item: Bars) -> Html:
     layout = axes(item.x_label, "")
     names = [label(name).replace(".", ".<br>", 1) if len(name) > _NAME else label(name) for name in item.names]
     layout["yaxis"] = {"tickmode": "array", "tickvals": places.tolist(), "ticktext": names, "autorange": "reversed"}
-    return chart(
-        {"data": data, "layout": layout},
-        item.title,
-        note=item.note,
-        page=item.page,
-        height=90 + (12 * len(item.shares) + 20) * len(item.names),
-        alt=f"{item.title}: {item.x_label} of {', '.join(item.names)}",
-    )
+    height = 90 + (12 * len(item.shares) + 20) * len(item.names)
+    return _drawn(item, data, layout, f"{item.x_label} of {', '.join(item.names)}", height)
 
 
 def trace(x: ArrayLike, y: ArrayLike, name: str, line: Mapping[str, Any], **more: Any) -> Spec:
@@ -283,7 +271,7 @@ def _kept_of_part(x: Array, y: Array, tolerance: float) -> NDArray[np.intp]:
     if not (len(y) and np.isfinite(x[0]) and np.isfinite(y[0])):
         return np.arange(len(y))[:1]  # of a gap
     if (np.diff(x) <= 0).any():  # x decreases, as on a circle
-        return np.union1d(extreme_samples(x), extreme_samples(y))
+        return path_samples(x, y)
     return thinned(x, y, tolerance)
 
 

@@ -27,12 +27,6 @@ def page_path(name: str) -> Path | None:
     return next((root / name for root in roots if (root / name).is_file()), None)
 
 
-@cache
-def _text(name: str) -> str | None:
-    file = page_path(name)
-    return None if file is None else file.read_text(encoding="utf-8")
-
-
 def is_page(name: str) -> bool:
     """Return whether there is a page of this name."""
     return page_path(name) is not None
@@ -56,12 +50,12 @@ def page_html(name: str, included: Sequence[str]) -> Html:
     """
     from markdown_it import MarkdownIt
 
-    text = _text(name)
-    if text is None:
+    file = page_path(name)
+    if file is None:
         raise ValueError(f"name: expected a page of {_FOLDER}/, got {name!r}")
     # HTML in a page is treated as text.
     renderer = MarkdownIt("commonmark", {"html": False}).enable("table")
-    tokens = renderer.parse(re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL))
+    tokens = renderer.parse(re.sub(r"<!--.*?-->", "", file.read_text(encoding="utf-8"), flags=re.DOTALL))
     title = name
     seen: dict[str, int] = {}
     for token, inside in zip(tokens, [*tokens[1:], None], strict=True):

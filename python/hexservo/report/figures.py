@@ -14,19 +14,19 @@ from hexservo.report.html import Html
 from hexservo.run.leg_motion import leg_motions
 from hexservo.run.samples import (
     ImageView,
-    extreme_samples,
+    axis_range,
+    broken_parts,
     feature_names,
-    force_panels,
     image_views,
+    mean_period,
     mean_samples,
-    moment_unit,
     moving_mean,
     parts,
-    turns_from_home,
-    vertical,
+    path_samples,
+    time_range,
 )
+from hexservo.run.time_panels import TimePanel, leg_panel, motion_panels, wrench_panels
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.leg_units import leg_units
 from hexservo.scenario.motion import moves
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.pixels import desired_features
@@ -65,9 +65,9 @@ def figures(result: Result) -> list[tuple[str, list[Html]]]:
         *([("Rule table of the fuzzy systems", "2a", [table])] if table is not None else []),
         ("Feature errors", "2b", _feature_errors(result)),
         ("Feature paths in the image", "3", _feature_paths(result)),
-        ("Motion of the platform", "4", _platform_motion(result)),
+        ("Motion of the platform", "4", [_over_time(result, panel) for panel in motion_panels(result)]),
         (_wrench_title(result), "5", _wrench(result)),
-        ("Legs and their limits", "", _legs(result)),
+        ("Legs and their limits", "", [_over_time(result, leg_panel(motion)) for motion in leg_motions(result)]),
     ]
     if moves(result.scenario.base_motion):
         drawn.append(("Motion of the base", "", _base_motion(result)))
@@ -130,7 +130,7 @@ def _feature_errors(result: Result) -> list[Html]:
     charts, band, points = [], result.scenario.metrics.band, result.scenario.target.count
     for part, title in zip(shown, titles, strict=True):
         time, errors = result.time[part], result.feature_error[part]
-        low, high = _range(errors)
+        low, high = axis_range(errors)
         inks = [
             _Ink(colour, dash)
             for number, colour in enumerate(_point_colours(points))
@@ -141,7 +141,7 @@ def _feature_errors(result: Result) -> list[Html]:
         note = f"All values are within ±{band:g} px." if within else f"Shaded: ±{band:g} px."
         layout = axes("time [s]", "feature error [px]", shapes=[] if within else [_band(band)])
         layout["yaxis"]["range"] = [low, high]
-        layout["xaxis"]["range"] = _time_range(time)
+        layout["xaxis"]["range"] = list(time_range(time))
         charts.append(chart({"data": data, "layout": layout}, title, note=note, wide=len(shown) == 1, height=340))
     return charts
 
@@ -163,7 +163,7 @@ def _paths_in(result: Result, view: ImageView, title: str, *, wide: bool) -> Htm
     data = []
     for number, colour in enumerate(colours):
         path = features[:, number]
-        kept = np.union1d(extreme_samples(path[:, 0]), extreme_samples(path[:, 1]))
+        kept = path_samples(*path.T)
         data.append(
             trace(
                 path[kept, 0],
@@ -206,23 +206,6 @@ def _paths_in(result: Result, view: ImageView, title: str, *, wide: bool) -> Htm
     return chart({"data": data, "layout": layout}, title, note=note, height=680, wide=wide)
 
 
-def _platform_motion(result: Result) -> list[Html]:
-    displacement = 1e3 * (result.position - np.asarray(result.scenario.robot.home_position))
-    rotation = 1e3 * turns_from_home(result, result.quaternion)
-    return [
-        _over_time(
-            result, f"Position relative to home, in B{vertical(result)}", "displacement [mm]", displacement, "xyz"
-        ),
-        _over_time(
-            result,
-            "Orientation relative to home: axis times angle, in B",
-            "rotation vector [mrad]",
-            rotation,
-            ["θx", "θy", "θz"],
-        ),
-    ]
-
-
 def _wrench_title(result: Result) -> str:
     """Return what the log's wrench is: for legs that follow positions, what their motion takes."""
     takes = " that the motion takes" if result.scenario.actuators.kind == "position" else ""
@@ -231,141 +214,55 @@ def _wrench_title(result: Result) -> str:
 
 def _wrench(result: Result) -> list[Html]:
     count = mean_samples(result.time)
-    note = ""
-    if count > 1:
-        period = 1e3 * count * float(np.median(np.diff(result.time)))
-        note = f"Thin lines are samples, thick lines their mean over {period:.3g} ms."
-    wrench = result.wrench
-    unit, per_newton_metre = moment_unit(result)
-    label, title = leg_units(result.scenario.robot).efforts
-    forces, limit = result.leg_forces, result.scenario.robot.force_limit
-    low, high = _range(forces)
-    limits = [value for value in (-limit, limit) if low < value < high]
-    of_limit = f"Dotted: limit of {limit:.4g} {leg_units(result.scenario.robot).effort}." if limits else ""
-    return [
-        *(
-            _over_time(
-                result,
-                panel.title,
-                "force [N]",
-                wrench[:, panel.columns],
-                panel.names,
-                count,
-                inks=_AXES[panel.columns],
-                shapes=[_level(weight) for weight in panel.weights.values()],
-                also=tuple(panel.weights.values()),
-                note=f"{panel.note} {note}".strip(),
-            )
-            for panel in force_panels(result)
-        ),
-        _over_time(
-            result,
-            "Moment, in B",
-            f"moment [{unit}]",
-            per_newton_metre * wrench[:, 3:],
-            ["mx", "my", "mz"],
-            count,
-            note=note,
-        ),
-        _over_time(
-            result,
-            title,
-            label,
-            forces,
-            [f"leg {leg}" for leg in range(1, 7)],
-            count,
-            inks=_LEGS,
-            shapes=[_level(value) for value in limits],
-            note=f"{of_limit} {note}".strip(),
-        ),
-    ]
-
-
-def _legs(result: Result) -> list[Html]:
-    """Draw travel, and speeds and tilts that the robot limits, with the limits."""
-    names = [f"leg {leg}" for leg in range(1, 7)]
-    return [
-        _over_time(
-            result,
-            motion.title,
-            motion.label,
-            motion.values,
-            names,
-            inks=_LEGS,
-            shapes=[_level(level) for level in motion.in_sight],
-            also=motion.in_sight,
-            note=f"Dotted: limit of {motion.limit.text}."
-            if motion.in_sight
-            else f"The limit of {motion.limit.text} is outside the chart.",
-        )
-        for motion in leg_motions(result)
-    ]
+    mean = f"Thin lines are samples, thick lines their mean over {mean_period(result.time, count)}."
+    return [_over_time(result, panel, count, mean if count > 1 else "") for panel in wrench_panels(result)]
 
 
 def _base_motion(result: Result) -> list[Html]:
     """Draw what moves the base, or its acceleration alone where it does not turn."""
     probe = _core.Probe(core_parameters(result.scenario))
-    acceleration = _over_time(
-        result,
-        "Acceleration of the base, in the world",
-        "acceleration [m/s²]",
-        probe.base_acceleration(result.time),
-        "xyz",
-    )
+    acceleration = probe.base_acceleration(result.time)
+    panels = [TimePanel("Acceleration of the base, in the world", "acceleration [m/s²]", acceleration, "xyz")]
     turns = 1e3 * Rotation.from_matrix(probe.base_motion(result.time)[1]).as_rotvec()
-    if not turns.any():
-        return [acceleration]
-    title = "Attitude of the base in the world: axis times angle"
-    return [acceleration, _over_time(result, title, "rotation vector [mrad]", turns, ["rx", "ry", "rz"])]
+    if turns.any():
+        title = "Attitude of the base in the world: axis times angle"
+        panels.append(TimePanel(title, "rotation vector [mrad]", turns, ("rx", "ry", "rz")))
+    return [_over_time(result, panel) for panel in panels]
 
 
 # ---- Over the time --------------------------------------------------------------------------------------------------
 
 
-def _over_time(
-    result: Result,
-    title: str,
-    unit: str,
-    values: Array,
-    names: Sequence[str],
-    count: int = 1,
-    *,
-    inks: Sequence[_Ink] = _AXES,
-    shapes: Sequence[Spec] = (),
-    also: Sequence[float] = (),
-    note: str = "",
-) -> Html:
-    """Draw the columns of values over time, the axis broken if a short transient would not be visible in a long run.
+def _over_time(result: Result, panel: TimePanel, count: int = 1, note: str = "") -> Html:
+    """Draw a panel, the time axis broken if a short transient would not be visible in a long run.
 
     Parameters
     ----------
     count
         Samples of a moving mean; above 1 it is drawn over thin lines of the samples.
-    also
-        Values that the axis must include.
+    note
+        Put after that of the panel.
     """
-    shown = parts(result)
-    if len(shown) == 2 and result.time[shown[0]][-1] > result.time[-1] / 2:
-        shown = [slice(0, len(result.time))]
-    means = moving_mean(values, count)
+    shown = broken_parts(result)
+    inks = (_LEGS if panel.of == "legs" else _AXES)[panel.first :]
+    means = moving_mean(panel.values, count)
     data: list[Spec] = []
-    layout = axes("time [s]", unit, shapes=list(shapes))
-    low, high = layout["yaxis"]["range"] = _range(np.append(values, also) if len(also) else values)
+    layout = axes("time [s]", panel.label, shapes=[_level(level) for level in panel.levels])
+    low, high = layout["yaxis"]["range"] = list(axis_range(*panel.covered))
     tolerance = TOLERANCE * (high - low)
     for place, part in enumerate(shown):
         time, axis = result.time[part], "x" if place == 0 else "x2"
         if count > 1:
             thin = [_Ink(ink.colour) for ink in inks]
-            looks: Spec = {"opacity": 0.45, "hoverinfo": "skip", "hovertemplate": None}
-            data += _lines(
-                time, values[part], names, thin, axis=axis, width=0.7, legend=False, tolerance=tolerance, **looks
-            )
-        data += _lines(time, means[part], names, inks, axis=axis, legend=place == 0, tolerance=tolerance)
-        layout[f"xaxis{axis[1:]}"] = {**layout["xaxis"], "range": _time_range(time)}
+            looks: Spec = {"width": 0.7, "legend": False, "opacity": 0.45, "hoverinfo": "skip", "hovertemplate": None}
+            data += _lines(time, panel.values[part], panel.names, thin, axis=axis, tolerance=tolerance, **looks)
+        data += _lines(time, means[part], panel.names, inks, axis=axis, legend=place == 0, tolerance=tolerance)
+        layout[f"xaxis{axis[1:]}"] = {**layout["xaxis"], "range": list(time_range(time))}
     if len(shown) == 2:
         layout["xaxis"]["domain"] = [0, _FIRST_SHARE - _GAP]
         layout["xaxis2"] |= {"domain": [_FIRST_SHARE + _GAP, 1], "anchor": "y"}
-    return chart({"data": data, "layout": layout}, title, note=note, wide=False, height=300)
+    note = f"{panel.note} {note}".strip()
+    return chart({"data": data, "layout": layout}, panel.title, note=note, wide=False, height=300)
 
 
 def _lines(
@@ -389,18 +286,6 @@ def _lines(
             drawn["mode"] = "lines+markers"
         data.append({key: value for key, value in drawn.items() if value is not None})
     return data
-
-
-def _time_range(time: Array) -> list[float]:
-    begin, end = float(time[0]), float(time[-1])
-    return [begin, end if end > begin else begin + 1e-3]
-
-
-def _range(values: Array) -> list[float]:
-    """Return limits with a margin around all values; rounding noise is not magnified."""
-    low, high = float(values.min()), float(values.max())
-    middle, half = low / 2 + high / 2, max(0.56 * (high - low), 4e-3 * max(abs(low), abs(high)), 1e-4)
-    return [middle - half, middle + half]
 
 
 def _band(half: float) -> Spec:

@@ -7,7 +7,8 @@ import math
 import operator
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
@@ -19,8 +20,8 @@ from hexservo.run.custom_controller import OwnController, function_name, run_wit
 from hexservo.run.display import batch_text
 from hexservo.run.drawn import html_of
 from hexservo.run.metrics import METRICS, asked_metrics, metric_unit
-from hexservo.run.progress import ProgressCallback, progress_bar
-from hexservo.run.result import TERMS, WRENCH, leg_words, quantities
+from hexservo.run.progress import ProgressCallback, Report, reported
+from hexservo.run.result import labelling, quantities
 from hexservo.run.variant import chosen_kernel
 from hexservo.run.variations import (
     changes_of_run,
@@ -31,7 +32,6 @@ from hexservo.run.variations import (
 )
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.fields import described
-from hexservo.scenario.leg_units import unit_of
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario, require_scenario
 from hexservo.scenario.version import VERSION
@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 __all__ = ["BatchResult", "simulate_batch", "whole"]
 
 Log: TypeAlias = Literal["final", "metrics", "trajectory"]
+_Report: TypeAlias = Callable[[int, int, int, int], object]  # of scenarios done, in all, steps done, in all
 
 _LOGS = {
     "final": _core.BatchLog.last_sample,
@@ -174,15 +175,9 @@ class BatchResult:
         if self.time is not None:
             coords["time"] = ("time", self.time, {"units": "s", "long_name": "time"})
         for name, values in self.samples.items():
-            if name == "fuzzy_weights":
-                attributes = {"units": "N; N m", "long_name": "weights of the fuzzy systems at the end"}
-                data[name] = (["scenario", "wrench_component", "error_term", "rate_term"], values, attributes)
-                coords |= {"wrench_component": WRENCH, "error_term": TERMS, "rate_term": TERMS}
-            else:
-                dimension, labels, unit, meaning = quantities(self.scenario.target.count)[name]
-                attributes = {"units": unit_of(robot, name, unit), "long_name": leg_words(robot, name, meaning)}
-                data[name] = (["scenario", *middle, dimension], values, attributes)
-                coords[dimension] = labels
+            labels, attributes = labelling(self.scenario, name)
+            data[name] = (["scenario", *([] if name == "fuzzy_weights" else middle), *labels], values, attributes)
+            coords |= labels
         dataset = xarray.Dataset(
             data,
             coords=coords,
@@ -424,21 +419,18 @@ def thread_count(threads: int | None) -> int:
     return whole_number("threads", threads, 1, _MAX_THREADS, "an integer or None")
 
 
-@contextlib.contextmanager
-def _reporting(progress: bool | ProgressCallback | None) -> Iterator[Callable[[int, int, int, int], object] | None]:
-    if progress is None or progress is False:
-        yield None
-    elif callable(progress):
-        yield lambda done, count, steps, total_steps: progress(done, count)
-    elif progress is True:
-        started = time.monotonic()
-        with progress_bar("scenarios") as draw:
+def _reporting(progress: bool | ProgressCallback | None) -> AbstractContextManager[_Report | None]:
+    started = time.monotonic()
 
-            def report(done: int, count: int, steps: int, total_steps: int) -> None:
-                elapsed = time.monotonic() - started
-                rate = f"{steps / elapsed / 1e6:.3g} million steps/s" if elapsed and steps else "checking"
-                draw(done, count, steps / total_steps if total_steps else None, rate)
+    def to_bar(draw: Report) -> _Report:
+        def report(done: int, count: int, steps: int, total_steps: int) -> None:
+            elapsed = time.monotonic() - started
+            rate = f"{steps / elapsed / 1e6:.3g} million steps/s" if elapsed and steps else "checking"
+            draw(done, count, steps / total_steps if total_steps else None, rate)
 
-            yield report
-    else:
-        raise wrong_type("progress", "True, a function or None", progress)
+        return report
+
+    def to_function(function: ProgressCallback) -> _Report:
+        return lambda done, count, steps, total_steps: function(done, count)
+
+    return reported(progress, "scenarios", to_function, to_bar)

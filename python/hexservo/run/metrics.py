@@ -40,7 +40,12 @@ METRICS: dict[str, tuple[str, str]] = {
     "peak_base_joint": ("rad", "largest tilt of a leg at the base from home, where robot.joint_limit is given"),
     "peak_platform_joint": ("rad", "largest tilt of a leg at the platform from home, where robot.joint_limit is given"),
 }
-_OF_LIMITS = ("peak_leg_speed", "peak_base_joint", "peak_platform_joint")  # NaN without their limit
+OF_LIMITS = {
+    "peak_leg_speed": "robot.speed_limit",
+    "peak_base_joint": "robot.joint_limit",
+    "peak_platform_joint": "robot.joint_limit",
+}
+"""Metrics of limits that not every robot has -> their keys, without which they are NaN."""
 
 _WITH_PREFIX = ("m", "rad", "m/s", "rad/s", "N m")  # units that people read in thousandths and so on, by size
 
@@ -117,12 +122,17 @@ def left_and_band(values: Mapping[str, float], measured: Metrics) -> tuple[str, 
 def shown_metrics(result: Result) -> dict[str, float]:
     """Return the metrics of a run without those of limits that its robot does not have."""
     found = metrics(result)
-    return {name: value for name, value in found.items() if name not in _OF_LIMITS or value == value}
+    return {name: value for name, value in found.items() if name not in OF_LIMITS or value == value}
 
 
 def metric_unit(name: str, robot: Robot) -> str:
     """Return the unit of a metric for a robot: rotary legs have angles and torques."""
     return unit_of(robot, name, METRICS[name][0])
+
+
+def metric_label(name: str, robot: Robot) -> str:
+    """Return the label of an axis for a robot's metric, with its unit."""
+    return f"{name.replace('_', ' ')} [{metric_unit(name, robot)}]"
 
 
 def readable(name: str, value: float, robot: Robot, largest: float | None = None) -> tuple[str, str]:

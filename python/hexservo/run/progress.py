@@ -7,10 +7,11 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from html import escape
-from typing import Protocol, TypeAlias
+from typing import Protocol, TypeAlias, TypeVar
 
 from hexservo.scenario.wording import wrong_type
 
+T = TypeVar("T")
 ProgressCallback: TypeAlias = Callable[[int, int], object]
 """Called with how many are done, and how many there are."""
 
@@ -49,10 +50,22 @@ def progress_bar(what: str, *, transient: bool = False) -> Iterator[Report]:
 
 
 @contextlib.contextmanager
-def reporting(
-    progress: bool | ProgressCallback | None, what: str, *, transient: bool = False
-) -> Iterator[ProgressCallback]:
+def reported(
+    progress: bool | ProgressCallback | None,
+    what: str,
+    to_function: Callable[[ProgressCallback], T],
+    to_bar: Callable[[Report], T],
+    *,
+    transient: bool = False,
+) -> Iterator[T | None]:
     """Report progress as a user asks for it: True is a bar, a function is called, None is nothing.
+
+    Parameters
+    ----------
+    what, transient
+        As for `progress_bar`.
+    to_function, to_bar
+        Return what reports to the user's function, and to a bar; None is yielded where nothing is reported.
 
     Raises
     ------
@@ -60,14 +73,27 @@ def reporting(
         For anything else.
     """
     if progress is None or progress is False:
-        yield lambda done, count: None
+        yield None
     elif callable(progress):
-        yield progress
+        yield to_function(progress)
     elif progress is True:
         with progress_bar(what, transient=transient) as draw:
-            yield lambda done, count: draw(done, count, done / count)
+            yield to_bar(draw)
     else:
         raise wrong_type("progress", "True, a function or None", progress)
+
+
+@contextlib.contextmanager
+def reporting(
+    progress: bool | ProgressCallback | None, what: str, *, transient: bool = False
+) -> Iterator[ProgressCallback]:
+    """Report how many are done of how many; arguments and errors as for `reported`."""
+
+    def to_bar(draw: Report) -> ProgressCallback:
+        return lambda done, count: draw(done, count, done / count)
+
+    with reported(progress, what, lambda function: function, to_bar, transient=transient) as report:
+        yield report or (lambda done, count: None)
 
 
 @contextlib.contextmanager

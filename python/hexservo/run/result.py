@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, field
 from functools import cache
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from hexservo.run.display import result_text
 from hexservo.run.drawn import html_of
@@ -15,6 +15,7 @@ from hexservo.scenario.arrays import Array
 from hexservo.scenario.fields import described
 from hexservo.scenario.leg_units import unit_of
 from hexservo.scenario.pixels import desired_features, to_pixels
+from hexservo.scenario.rules import TERMS
 from hexservo.scenario.version import VERSION
 from hexservo.scenario.wording import apart, wrong_type
 
@@ -47,10 +48,9 @@ _LIMITS: dict[str, tuple[str, str]] = {
 }
 
 _AXES = ["x", "y", "z"]
-TERMS = ["NB", "NM", "NS", "ZE", "PS", "PM", "PB"]
 _LEGS = [1, 2, 3, 4, 5, 6]
 _TWIST = ["vx", "vy", "vz", "wx", "wy", "wz"]
-WRENCH = ["fx", "fy", "fz", "mx", "my", "mz"]
+_WRENCH = ["fx", "fy", "fz", "mx", "my", "mz"]
 
 Quantity: TypeAlias = tuple[str, list[str] | list[int], str, str]
 """Second dimension, its labels, unit, what it is; the first dimension is time."""
@@ -59,8 +59,8 @@ _OF_PLATFORM: dict[str, Quantity] = {
     "position": ("axis", _AXES, "m", "platform position in the base frame B"),
     "quaternion": ("quaternion_component", ["w", "x", "y", "z"], "1", "platform attitude in the base frame B"),
     "twist": ("twist_component", _TWIST, "m/s; rad/s", "platform velocity and angular velocity in B"),
-    "wrench": ("wrench_component", WRENCH, "N; N m", "force and moment about the platform's centre, in B"),
-    "fuzzy_output": ("wrench_component", WRENCH, "N; N m", "output of the fuzzy systems, subtracted from the wrench"),
+    "wrench": ("wrench_component", _WRENCH, "N; N m", "force and moment about the platform's centre, in B"),
+    "fuzzy_output": ("wrench_component", _WRENCH, "N; N m", "output of the fuzzy systems, subtracted from the wrench"),
     "leg_lengths": ("leg", _LEGS, "m", "leg lengths"),
     "leg_forces": ("leg", _LEGS, "N", "leg forces, positive where they push the platform away from the base"),
 }
@@ -82,6 +82,17 @@ def leg_words(robot: Robot, name: str, meaning: str) -> str:
     """Return the meaning of a quantity for the legs that a robot has."""
     rotary = {"leg_lengths": "angles of the cranks", "leg_forces": "torques of the cranks"}
     return rotary.get(name, meaning) if robot.legs == "rotary" else meaning
+
+
+def labelling(scenario: Scenario, name: str) -> tuple[dict[str, list[str] | list[int]], dict[str, str]]:
+    """Return the labels of an array's dimensions beside time and scenarios, by dimension, and its unit and meaning."""
+    if name in ("fuzzy_weights", "weight_history"):
+        meaning = "weights of the fuzzy systems" + (" at the end" if name == "fuzzy_weights" else "")
+        labels = {"wrench_component": list(_WRENCH), "error_term": list(TERMS), "rate_term": list(TERMS)}
+        return {**labels}, {"units": "N; N m", "long_name": meaning}
+    robot = scenario.robot
+    dimension, numbers, unit, meaning = quantities(scenario.target.count)[name]
+    return {dimension: numbers}, {"units": unit_of(robot, name, unit), "long_name": leg_words(robot, name, meaning)}
 
 
 @described
@@ -229,37 +240,18 @@ class Result:
         """
         import xarray
 
-        robot = self.scenario.robot
-        data = {
-            name: xarray.DataArray(
-                getattr(self, name),
-                dims=("time", dimension),
-                coords={"time": self.time, dimension: labels},
-                attrs={"units": unit_of(robot, name, unit), "long_name": leg_words(robot, name, meaning)},
-            )
-            for name, (dimension, labels, unit, meaning) in quantities(self.scenario.target.count).items()
+        data: dict[str, Any] = {"time": ("time", self.time, {"units": "s", "long_name": "time"})}
+        history = [] if self.weight_history is None else ["weight_history"]
+        for name in (*quantities(self.scenario.target.count), "fuzzy_weights", *history):
+            labels, attributes = labelling(self.scenario, name)
+            data |= {dimension: (dimension, numbers) for dimension, numbers in labels.items()}
+            data[name] = ([*([] if name == "fuzzy_weights" else ["time"]), *labels], getattr(self, name), attributes)
+        attributes = {
+            "title": f"hexservo run of {self.scenario.name}",
+            "events": "\n".join(map(str, self.events)),
+            **saved_attributes(self),
         }
-        data["fuzzy_weights"] = xarray.DataArray(
-            self.fuzzy_weights,
-            dims=("wrench_component", "error_term", "rate_term"),
-            coords={"wrench_component": WRENCH, "error_term": TERMS, "rate_term": TERMS},
-            attrs={"units": "N; N m", "long_name": "weights of the fuzzy systems at the end"},
-        )
-        if self.weight_history is not None:
-            data["weight_history"] = xarray.DataArray(
-                self.weight_history,
-                dims=("time", "wrench_component", "error_term", "rate_term"),
-                attrs={"units": "N; N m", "long_name": "weights of the fuzzy systems"},
-            )
-        dataset = xarray.Dataset(data)
-        dataset["time"].attrs.update({"units": "s", "long_name": "time"})
-        dataset.attrs.update(
-            {
-                "title": f"hexservo run of {self.scenario.name}",
-                "events": "\n".join(map(str, self.events)),
-                **saved_attributes(self),
-            }
-        )
+        dataset = xarray.Dataset(data, attrs=attributes)
         return dataset.copy(deep=True)  # xarray keeps the arrays it is given, and a dataset may be changed in place
 
 

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from hexservo.run.metrics import metrics
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.pixels import desired_features, image_border
 from hexservo.scenario.wording import shown_unit
 
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
 
 _MAX_POINTS = 1200  # of one line in one panel: more than print resolves
 _SMALL = 0.4  # of the image: paths within this part of it are shown magnified as well
-_OFF_AXIS = 1e-9  # of gravity: a part along an axis that is smaller is rounding
+OFF_AXIS = 1e-9  # of gravity: a part along an axis that is smaller is rounding
 _MEAN_TIME = 0.007  # of the moving mean [s]: removes what switches, keeps what swings
 
 
@@ -36,6 +35,27 @@ def parts(result: Result) -> list[slice]:
     rounded = float(f"{split:.1g}")
     cut = int(np.searchsorted(time, rounded if settled < rounded < time[-1] else split))
     return [slice(0, cut + 1), slice(cut, len(time))] if 2 <= cut <= len(time) - 3 else whole
+
+
+def broken_parts(result: Result) -> list[slice]:
+    """Return `parts`, or all samples together where a transient is long enough to be seen beside the rest."""
+    shown = parts(result)
+    if len(shown) == 2 and result.time[shown[0]][-1] > result.time[-1] / 2:
+        return [slice(0, len(result.time))]
+    return shown
+
+
+def time_range(time: Array) -> tuple[float, float]:
+    """Return the limits of a time axis for samples (n,); a single sample has a range too."""
+    begin, end = float(time[0]), float(time[-1])
+    return begin, end if end > begin else begin + 1e-3
+
+
+def axis_range(*values: Array) -> tuple[float, float]:
+    """Return limits with a margin around all values; rounding noise is not magnified."""
+    low, high = min(float(part.min()) for part in values), max(float(part.max()) for part in values)
+    middle, half = low / 2 + high / 2, max(0.56 * (high - low), 4e-3 * max(abs(low), abs(high)), 1e-4)
+    return middle - half, middle + half
 
 
 def turns_from_home(result: Result, quaternion: Array) -> Array:
@@ -65,60 +85,14 @@ def vertical(result: Result) -> str:
     Empty where gravity is not along z: then z is not vertical.
     """
     gravity = np.array(result.scenario.robot.gravity)
-    if not _is_along_z(gravity):
+    if not along_z(gravity):
         return ""
     return f" (z points {'down' if gravity[2] > 0 else 'up'})"
 
 
-def _is_along_z(gravity: Array) -> bool:
-    return bool(gravity[2] != 0 and (np.abs(gravity[:2]) <= _OFF_AXIS * abs(gravity[2])).all())
-
-
-@dataclass(frozen=True)
-class ForcePanel:
-    """Forces that share a panel."""
-
-    title: str
-    columns: slice  # of the wrench
-    names: tuple[str, ...]
-    weights: dict[str, float]  # force [N] that holds the estimated weight, by name, for each axis that it has a part of
-    note: str  # what they are; empty if there are none
-
-
-def force_panels(result: Result) -> tuple[ForcePanel, ForcePanel]:
-    """Return how the forces of the wrench are drawn: along x and y, and along z, with the weight on its own axes."""
-    weight = np.array(core_parameters(result.scenario).body.gravity_wrench[:3])
-    is_along_z = _is_along_z(weight)
-    titles = (
-        ("Horizontal force, in B", f"Vertical force, in B{vertical(result)}")
-        if is_along_z
-        else ("Force along x and y, in B", "Force along z, in B")
-    )
-    meaning = (
-        "the weight that the law feeds forward"
-        if result.scenario.actuators.kind == "force"
-        else "the estimated weight, which the law does not feed forward"
-    )
-    panels = []
-    for title, columns in zip(titles, (slice(0, 2), slice(2, 3)), strict=True):
-        held = {
-            axis: float(part)
-            for axis, part in zip("xyz"[columns], weight[columns], strict=True)
-            if abs(part) > _OFF_AXIS * float(np.abs(weight).max())
-        }
-        levels = " and ".join(
-            f"{level:.4g} N" + ("" if is_along_z else f" along {axis}") for axis, level in held.items()
-        )
-        panels.append(
-            ForcePanel(
-                title,
-                columns,
-                tuple(f"f{axis}" for axis in "xyz"[columns]),
-                {"−mg" + ("" if is_along_z else axis): level for axis, level in held.items()},
-                f"Dotted: {levels}, {meaning}." if held else "",
-            )
-        )
-    return panels[0], panels[1]
+def along_z(gravity: Array) -> bool:
+    """Return whether gravity, or a weight, (3,), is along z."""
+    return bool(gravity[2] != 0 and (np.abs(gravity[:2]) <= OFF_AXIS * abs(gravity[2])).all())
 
 
 def moment_unit(result: Result) -> tuple[str, float]:
@@ -155,12 +129,22 @@ def extreme_samples(values: Array, most: int = _MAX_POINTS) -> NDArray[np.intp]:
     return np.unique(np.minimum(chosen, count - 1))
 
 
+def path_samples(x: Array, y: Array) -> NDArray[np.intp]:
+    """Return the indices of samples to draw of a path with coordinates (n,) each, as `extreme_samples` of both."""
+    return np.union1d(extreme_samples(x), extreme_samples(y))
+
+
 def mean_samples(time: Array) -> int:
     """Return the odd number of samples of the moving mean, about 7 ms; 1 for short or coarse runs."""
     if len(time) < 3:
         return 1
     half = round(_MEAN_TIME / 2 / float(np.median(np.diff(time))))
     return 2 * half + 1 if 2 <= half <= len(time) / 100 else 1
+
+
+def mean_period(time: Array, count: int) -> str:
+    """Return how long `count` samples of a moving mean last, as text."""
+    return f"{1e3 * count * float(np.median(np.diff(time))):.3g} ms"
 
 
 def moving_mean(values: Array, count: int) -> Array:
