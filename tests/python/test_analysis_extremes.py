@@ -16,12 +16,12 @@ from hexservo.findings.analysis import NotComputed, _computed
 SEED = 5
 COUNTS = {
     "conditioning": 12,
-    "workspace": 10,
+    "workspace": 4,
     "stiction": 20,
     "equilibria": 20,
     "drift": 30,
     "camera_rate": 8,
-    "largest_start": 12,
+    "largest_start": 6,
 }
 
 

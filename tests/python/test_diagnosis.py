@@ -47,6 +47,7 @@ from packaged import one_of_each_kind
 ROOT = Path(__file__).resolve().parents[2]
 KEYS = tuple(cause.key for cause in CAUSES)
 SHIPPED = tuple(key for key in KEYS if shipped(key) in hs.scenario_names())
+LONG = ("image_smoothing", "unequal_depth")  # their shipped runs take 10 times those of others
 FAILURES = int(os.environ.get("HEXSERVO_DIAGNOSIS_FAILURES", "4"))  # of each cause; the page has more
 RIGHT, WRONG = 0.95, 0.05  # shares that are required: the right cause first, a wrong one with the right one withheld
 
@@ -64,7 +65,7 @@ def cause_of(key: str) -> Any:
 # ---- The right cause ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("key", SHIPPED)
+@pytest.mark.parametrize("key", [pytest.param(key, marks=[pytest.mark.slow] if key in LONG else []) for key in SHIPPED])
 def test_the_cause_of_a_shipped_scenario_comes_first_with_a_remedy_that_works(key: str) -> None:
     result = hs.simulate(hs.load_scenario(shipped(key)))
     diagnosis = hs.diagnose(result)

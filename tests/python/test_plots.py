@@ -75,7 +75,14 @@ def paper() -> hs.Result:
     return run()
 
 
-@pytest.fixture(scope="module", params=RUNS)
+# Drawn as `paper` is, with other numbers; the first samples of a run are drawn in a test of their own.
+ALIKE = ("slow", "smooth", "sparse", "two samples")
+
+
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(name, marks=[pytest.mark.slow] if name in ALIKE else []) for name in RUNS],
+)
 def result(request: pytest.FixtureRequest) -> hs.Result:
     return run(**RUNS[request.param])
 

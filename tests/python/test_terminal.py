@@ -57,7 +57,7 @@ def test_commands_on_every_packaged_scenario(name: str) -> None:
             assert_fit_for_a_terminal(error + out)
 
 
-@pytest.mark.parametrize("columns", [80, 10_000])
+@pytest.mark.parametrize("columns", [80, pytest.param(10_000, marks=pytest.mark.slow)])
 def test_findings_at_any_width(columns: int, monkeypatch: pytest.MonkeyPatch) -> None:
     for module in ("terminal", "print_sections"):
         monkeypatch.setattr(f"hexservo.cli.{module}.width", lambda: columns)
