@@ -75,7 +75,7 @@ def paper() -> hs.Result:
     return run()
 
 
-# Drawn as `paper` is, with other numbers; the first samples of a run are drawn in a test of their own.
+# Drawn as `paper` is, with other numbers; another test draws the first samples of a run.
 ALIKE = ("slow", "smooth", "sparse", "two samples")
 
 
