@@ -25,7 +25,13 @@ COUNTS = {
 }
 
 
-@pytest.mark.parametrize(("part", "count"), COUNTS.items())
+MORE = {"workspace": 10, "largest_start": 12}  # of the parts that take longest
+
+
+@pytest.mark.parametrize(
+    ("part", "count"),
+    [*COUNTS.items(), *(pytest.param(*each, marks=pytest.mark.slow) for each in MORE.items())],
+)
 def test_a_part_never_raises_and_never_shows_nan(part: str, count: int, capsys: pytest.CaptureFixture[str]) -> None:
     """Random extreme scenarios: sentences without NaN, strict JSON, and a reason where there is no number."""
     kinds: Counter[str] = Counter()
