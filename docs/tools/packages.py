@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -35,10 +36,11 @@ def module_name(path: Path, root: Path = SOURCES) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-def imports(root: Path = SOURCES) -> list[Import]:
+@cache
+def imports(root: Path = SOURCES) -> tuple[Import, ...]:
     """Read every import of a module of hexservo, those within functions and for type checkers alone included."""
     files = {module_name(path, root): path for path in sorted(root.rglob("*.py"))}
-    return [found for module, path in files.items() for found in _imports_of(module, path, files)]
+    return tuple(found for module, path in files.items() for found in _imports_of(module, path, files))
 
 
 def _imports_of(module: str, path: Path, files: dict[str, Path]) -> Iterator[Import]:

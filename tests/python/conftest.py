@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import signal
 
 import pytest
 from hypothesis import settings
 
 import hexservo as hs
+
+# Matrices here are small: threads of NumPy's BLAS wait for each other at twice the processor time, on cores that other
+# workers use. Before NumPy is imported; for the subprocesses too.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # A run in the background (nohup, `&` in a script) ignores Ctrl-C, and so would every test of it and its subprocesses.
 signal.signal(signal.SIGINT, signal.default_int_handler)

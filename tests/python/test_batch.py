@@ -234,7 +234,18 @@ def rows_of(scenario: hs.Scenario, key: str) -> list[NDArray[np.float64]]:
     return arrays
 
 
-@pytest.mark.parametrize(("law", "key"), [(law, key) for law in LAWS for key in numeric_keys(law)])
+def laws_and_keys() -> list[Any]:
+    """Every key of machine and run with one law in turn, every key of a controller with each; the rest is `slow`."""
+    common = [key for key in numeric_keys(LAWS[0]) if not key.startswith("controller.")]
+    turn = {key: LAWS[index % len(LAWS)] for index, key in enumerate(common)}
+    return [
+        pytest.param(law, key, marks=() if turn.get(key, law) == law else pytest.mark.slow)
+        for law in LAWS
+        for key in numeric_keys(law)
+    ]
+
+
+@pytest.mark.parametrize(("law", "key"), laws_and_keys())
 def test_every_key_that_holds_numbers_may_vary(smooth: hs.Scenario, sampled: hs.Scenario, law: str, key: str) -> None:
     base = smooth = (sampled if key in SAMPLED_ROWS or key in CALIBRATED else smooth).updated({"controller.law": law})
     if key == "target.points":

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import ctypes
+import importlib
 import re
 import shutil
 import subprocess
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from xml.etree import ElementTree
 
@@ -50,6 +53,20 @@ def library() -> None:
         hs.c_library()
     except FileNotFoundError as error:
         pytest.skip(str(error))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def names_are_parsed_once() -> Iterator[None]:
+    """FMPy parses every name with a general grammar, which is most of a validation; units share nearly all names."""
+    grammar: Any = importlib.import_module("lark").Lark
+
+    @cache
+    def remembering(text: str, start: str) -> SimpleNamespace:
+        return SimpleNamespace(parse=cache(grammar(text, start=start).parse))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("lark.Lark", remembering)
+        yield
 
 
 class Unit:

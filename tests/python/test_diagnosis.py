@@ -10,6 +10,7 @@ import pickle
 import re
 import sys
 from collections.abc import Iterator, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -42,10 +43,12 @@ from hexservo.scenario.parameters import core_parameters, frame_period
 from hexservo.scenario.pixels import desired_features, points_outside
 from hexservo.scenario.scenario import Scenario
 from keys_without_cause import HARMLESS, IN_COMMON
+from packaged import one_of_each_kind
 
 ROOT = Path(__file__).resolve().parents[2]
 KEYS = tuple(cause.key for cause in CAUSES)
 SHIPPED = tuple(key for key in KEYS if shipped(key) in hs.scenario_names())
+LONG = ("image_smoothing", "unequal_depth")  # their shipped runs take 10 times those of others
 FAILURES = int(os.environ.get("HEXSERVO_DIAGNOSIS_FAILURES", "4"))  # of each cause; the page has more
 RIGHT, WRONG = 0.95, 0.05  # shares that are required: the right cause first, a wrong one with the right one withheld
 
@@ -56,6 +59,12 @@ def case_of(scenario: hs.Scenario) -> Case:
     return make_cases([scenario])[0]
 
 
+@cache
+def diagnosis_of(name: str) -> hs.Diagnosis:
+    """Diagnose a packaged scenario as it is, once for all tests."""
+    return hs.diagnose(hs.simulate(hs.load_scenario(name)))
+
+
 def cause_of(key: str) -> Any:
     return next(cause for cause in CAUSES if cause.key == key)
 
@@ -63,10 +72,9 @@ def cause_of(key: str) -> Any:
 # ---- The right cause ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("key", SHIPPED)
+@pytest.mark.parametrize("key", [pytest.param(key, marks=[pytest.mark.slow] if key in LONG else []) for key in SHIPPED])
 def test_the_cause_of_a_shipped_scenario_comes_first_with_a_remedy_that_works(key: str) -> None:
-    result = hs.simulate(hs.load_scenario(shipped(key)))
-    diagnosis = hs.diagnose(result)
+    diagnosis = diagnosis_of(shipped(key))
     assert diagnosis.failed
     first = diagnosis.causes[0]
     assert first.cause == key
@@ -77,7 +85,7 @@ def test_the_cause_of_a_shipped_scenario_comes_first_with_a_remedy_that_works(ke
     assert first.remedy is not None
     assert first.remedy.works
     # The remedy that is named, run by the caller himself.
-    cured = hs.simulate(result.scenario.updated(first.remedy.changes))
+    cured = hs.simulate(hs.load_scenario(shipped(key)).updated(first.remedy.changes))
     assert not hs.diagnose(cured).failed
     assert hs.metrics(cured)["final_error"] <= 2.0
 
@@ -267,7 +275,7 @@ def test_a_heavier_machine_with_gains_for_its_mass_has_the_same_causes(name: str
     """Every force of plant and laws is 64 times as large, a power of two: no bit of the motion changes."""
     scenario = hs.load_scenario(name)
     heavy = scenario.updated(times_as_heavy(scenario, 64.0))
-    found = [hs.diagnose(hs.simulate(one)) for one in (scenario, heavy)]
+    found = [diagnosis_of(name), hs.diagnose(hs.simulate(heavy))]
     for first, second in zip(found[0].causes, found[1].causes, strict=True):
         assert (second.cause, second.named, second.alone) == (first.cause, first.named, first.alone)
         assert second.score == first.score, first.cause
@@ -299,7 +307,7 @@ def test_settings_of_a_law_that_suit_another_mass_are_ordinary() -> None:
 
 def test_a_cause_within_what_is_ordinary_is_not_named() -> None:
     """Noise of 0.3 px before features on a small spot: without noise the run passes, and the target is the cause."""
-    diagnosis = hs.diagnose(hs.simulate(hs.load_scenario("fails-poor-image")))
+    diagnosis = diagnosis_of("fails-poor-image")
     noise = next(finding for finding in diagnosis.causes if finding.cause == "pixel_noise")
     assert noise.without is not None
     assert noise.without.works
@@ -554,7 +562,7 @@ def test_only_what_a_scenario_refuses_has_no_run(name: str) -> None:
         assert (record is None) == is_refused(scenario, run.changes), run.changes
 
 
-@pytest.mark.parametrize("name", hs.scenario_names())
+@pytest.mark.parametrize("name", one_of_each_kind())
 def test_no_change_that_is_tried_is_refused(name: str) -> None:
     scenario = hs.load_scenario(name)
     assert [changes for changes in tried(case_of(scenario)) if is_refused(scenario, changes)] == []
@@ -870,7 +878,7 @@ def test_the_signature_of_a_spring_is_finite_where_friction_by_the_radius_overfl
 
 @pytest.mark.parametrize("name", ["paper", "paper-composite", "composite-30hz", "real-machine", "textbook-general"])
 def test_a_run_that_does_not_fail_gives_its_margins(name: str) -> None:
-    diagnosis = hs.diagnose(hs.simulate(hs.load_scenario(name)))
+    diagnosis = diagnosis_of(name)
     assert diagnosis.failed is False
     assert diagnosis.causes == ()
     section = diagnosis.section()
@@ -881,7 +889,7 @@ def test_a_run_that_does_not_fail_gives_its_margins(name: str) -> None:
 
 
 def test_what_is_near_failing_is_a_warning() -> None:
-    diagnosis = hs.diagnose(hs.simulate(hs.load_scenario("task-rotation")))
+    diagnosis = diagnosis_of("task-rotation")
     assert diagnosis.section().verdict == "warning"
     (first, *_) = diagnosis.section().sentences  # what the verdict is about
     assert first == "The run passes. Near failing: the travel of the legs is 82% of what is allowed."
@@ -895,7 +903,7 @@ def test_a_thin_log_is_a_warning() -> None:
 
 
 def test_sections_have_words_a_table_and_curves_and_strict_json() -> None:
-    diagnosis = hs.diagnose(hs.simulate(hs.load_scenario("fails-late-camera")))
+    diagnosis = diagnosis_of("fails-late-camera")
     (section,) = diagnosis.sections()
     assert (section.name, section.verdict) == ("diagnosis", "bad")
     assert "latency or rate of the camera" in section.sentences[0]
@@ -958,7 +966,7 @@ def test_a_run_that_is_too_short_is_diagnosed() -> None:
     diagnosis = hs.diagnose(hs.simulate(scenario))
     assert diagnosis.too_short == pytest.approx(2.0)
     assert diagnosis.section().sentences[0].startswith("The run is too short")
-    assert hs.diagnose(hs.simulate(hs.load_scenario("fails-stiction"))).too_short is None
+    assert diagnosis_of("fails-stiction").too_short is None
     diagnosis = hs.diagnose(hs.simulate(scenario.updated({"simulation.duration": 0.002})))  # no time to fall at all
     assert diagnosis.too_short == pytest.approx(2.0)
 
@@ -1051,7 +1059,7 @@ def test_a_platform_that_never_moves_is_diagnosed() -> None:
 def test_a_false_equilibrium_on_the_way_is_diagnosed() -> None:
     """A rotation by 180 degrees about the optical axis, and a false equilibrium: another law gets there."""
     for name in ("textbook-half-turn", "false-equilibrium"):
-        diagnosis = hs.diagnose(hs.simulate(hs.load_scenario(name)))
+        diagnosis = diagnosis_of(name)
         assert [finding.cause for finding in diagnosis.named] == ["false_equilibrium"], name
 
 
@@ -1071,7 +1079,7 @@ def test_an_unexplained_failure_is_reported_with_the_causes_tried() -> None:
 
 
 def test_a_diagnosis_can_be_pickled() -> None:
-    diagnosis = hs.diagnose(hs.simulate(hs.load_scenario("fails-stiction")))
+    diagnosis = diagnosis_of("fails-stiction")
     assert pickle.loads(pickle.dumps(diagnosis)).to_dict() == diagnosis.to_dict()
 
 
@@ -1133,7 +1141,7 @@ def test_a_controller_that_is_named_as_a_law_is_not_taken_for_it() -> None:
 
 
 def test_a_cause_that_fails_alone_and_is_not_named_is_not_said_to_fail_nowhere() -> None:
-    diagnosis = hs.diagnose(hs.simulate(hs.load_scenario("fails-spring")))
+    diagnosis = diagnosis_of("fails-spring")
     first = diagnosis.causes[0]
     assert first.alone
     assert first.without is not None

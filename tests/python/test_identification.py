@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -408,8 +409,17 @@ def written(log: Log, path: Path) -> Path:
     return path
 
 
-def test_the_command_writes_a_scenario_that_runs_and_diagnose_goes_on(paper: hs.Scenario, tmp_path: Path) -> None:
+def test_the_command_writes_a_scenario_that_runs_and_diagnose_goes_on(
+    paper: hs.Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     log = written(seen_log(paper, 0.1, stamps=None), tmp_path / "log.csv")
+    found, identify = [], hs.identify
+
+    def identified(*given: Any, **options: Any) -> hs.Identification:
+        found.append(identify(*given, **options))
+        return found[-1]
+
+    monkeypatch.setattr(hs, "identify", identified)
     yaml, numbers = tmp_path / "machine.yaml", tmp_path / "machine.json"
     arguments = ["identify", str(log), "-m", "paper", "--out", str(yaml), "--json", str(numbers)]
     done = CliRunner().invoke(app, arguments)
@@ -423,6 +433,7 @@ def test_the_command_writes_a_scenario_that_runs_and_diagnose_goes_on(paper: hs.
     again = CliRunner().invoke(app, arguments)
     assert again.exit_code == 2
     assert "--force" in again.output
+    monkeypatch.setattr(hs, "identify", lambda *_, **__: found[0])  # of the same log
     piped = CliRunner().invoke(app, ["identify", str(log), "-m", "paper", "--json", "-"])
     assert piped.stdout == numbers.read_text(encoding="utf-8")
     diagnosed = CliRunner().invoke(app, ["diagnose", str(log), "--machine", "paper"])

@@ -75,7 +75,14 @@ def paper() -> hs.Result:
     return run()
 
 
-@pytest.fixture(scope="module", params=RUNS)
+# Drawn as `paper` is, with other numbers; another test draws the first samples of a run.
+ALIKE = ("slow", "smooth", "sparse", "two samples")
+
+
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(name, marks=[pytest.mark.slow] if name in ALIKE else []) for name in RUNS],
+)
 def result(request: pytest.FixtureRequest) -> hs.Result:
     return run(**RUNS[request.param])
 
@@ -610,7 +617,7 @@ def test_spread_labels_stay_where_there_is_room_and_share_the_way_where_there_is
 # ---- Files ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["paper", "slow", "diverges", "diverges at once", "one step"])
+@pytest.mark.parametrize("name", ["paper", "diverges", "diverges at once", "one step"])
 def test_paper_figures_writes_each_figure_twice(name: str, tmp_path: Path) -> None:
     result = run(**RUNS[name])
     paths = paper_figures(result, tmp_path / "new" / "out")
@@ -633,11 +640,14 @@ def test_paper_figures_writes_each_figure_twice(name: str, tmp_path: Path) -> No
             assert height > 400
 
 
-def test_paper_figures_are_the_same_bytes_for_the_same_run(paper: hs.Result, tmp_path: Path) -> None:
-    again = run()
-    for one, other in zip(
-        paper_figures(paper, tmp_path / "one"), paper_figures(again, tmp_path / "other"), strict=True
-    ):
+@pytest.fixture(scope="module")
+def written(paper: hs.Result, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """The files of the paper's run, which no test changes."""
+    return paper_figures(paper, tmp_path_factory.mktemp("written") / "out")
+
+
+def test_paper_figures_are_the_same_bytes_for_the_same_run(written: list[Path], tmp_path: Path) -> None:
+    for one, other in zip(written, paper_figures(run(), tmp_path / "other"), strict=True):
         assert one.read_bytes() == other.read_bytes(), one.name
         assert b"dc:date" not in one.read_bytes()
 
@@ -665,9 +675,9 @@ def test_paper_figures_take_a_result_only(tmp_path: Path) -> None:
         paper_figures("paper", tmp_path)  # type: ignore[arg-type]
 
 
-def test_files_have_ordinary_permissions(paper: hs.Result, tmp_path: Path) -> None:
+def test_files_have_ordinary_permissions(written: list[Path], tmp_path: Path) -> None:
     (tmp_path / "plain").touch()
-    for path in paper_figures(paper, tmp_path / "figures"):
+    for path in written:
         assert path.stat().st_mode == (tmp_path / "plain").stat().st_mode
 
 
@@ -711,8 +721,10 @@ def test_nothing_appears_when_a_file_cannot_be_written(
 # ---- The user's matplotlib ------------------------------------------------------------------------------------------
 
 
-def test_settings_of_the_user_are_neither_changed_nor_used(paper: hs.Result, tmp_path: Path) -> None:
-    ours = [path.read_bytes() for path in paper_figures(paper, tmp_path / "ours")]
+def test_settings_of_the_user_are_neither_changed_nor_used(
+    paper: hs.Result, written: list[Path], tmp_path: Path
+) -> None:
+    ours = [path.read_bytes() for path in written]
     theirs = {"font.size": 30, "svg.fonttype": "none", "savefig.dpi": 10, "savefig.bbox": "tight", "lines.linewidth": 9}
     with matplotlib.rc_context(theirs):  # type: ignore[arg-type]
         before = dict(matplotlib.rcParams)

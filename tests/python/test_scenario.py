@@ -25,6 +25,7 @@ from pydantic import ValidationError
 import hexservo as hs
 from hexservo import _core
 from hexservo.scenario.yaml import load_yaml
+from packaged import ONE_OF_EACH_KIND, kinds
 
 INITIAL = [30, 18, 65, -65, -44, 37, -10, -15]
 DESIRED = [10, 10, 45, -73, -64, 29, -30, -23]
@@ -131,6 +132,12 @@ def test_names_are_those_of_the_files() -> None:
     assert set(names) >= {"paper", "paper-nominal", "paper-minus", "paper-gravity", "paper-no-fuzzy", "paper-composite"}
     for name in names:
         assert hs.load_scenario(name).name == name
+
+
+def test_one_scenario_of_each_kind_is_in_every_run_of_the_tests() -> None:
+    reached = set().union(*(kinds(hs.load_scenario(name)) for name in ONE_OF_EACH_KIND))
+    missing = {name: kinds(hs.load_scenario(name)) - reached for name in hs.scenario_names()}
+    assert {name: left for name, left in missing.items() if left} == {}
 
 
 # ---- Refusals -------------------------------------------------------------------------------------------------------

@@ -19,6 +19,7 @@ from hexservo.cli import terminal
 from hexservo.findings.evidence import Table
 from hexservo.scenario.wording import number, quantity
 from hexservo.scenario.yaml import MAX_BYTES
+from packaged import one_of_each_kind
 from test_cli import environment
 
 SHORT = ["--set", "simulation.duration=0.2"]
@@ -47,7 +48,7 @@ def assert_fit_for_a_terminal(text: str) -> None:
 # ---- Characters and numbers -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", hs.scenario_names())
+@pytest.mark.parametrize("name", one_of_each_kind())
 def test_commands_on_every_packaged_scenario(name: str) -> None:
     for arguments in (["show", name], ["check", name], ["run", name, *SHORT], ["certify", name, *SHORT]):
         _, out, error = invoke(*arguments)
@@ -56,7 +57,7 @@ def test_commands_on_every_packaged_scenario(name: str) -> None:
             assert_fit_for_a_terminal(error + out)
 
 
-@pytest.mark.parametrize("columns", [80, 10_000])
+@pytest.mark.parametrize("columns", [80, pytest.param(10_000, marks=pytest.mark.slow)])
 def test_findings_at_any_width(columns: int, monkeypatch: pytest.MonkeyPatch) -> None:
     for module in ("terminal", "print_sections"):
         monkeypatch.setattr(f"hexservo.cli.{module}.width", lambda: columns)

@@ -14,7 +14,7 @@ from hexservo.findings.coupling import settling_ratio
 from hexservo.findings.leg_feedback import OF_MARGIN, feedback_margin, integral_margin
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.block import SAMPLED_MODE
-from hexservo.scenario.fitted import Machine, auto_of, chosen_keys, fitted_keys, machine_of
+from hexservo.scenario.fitted import Machine, auto_of, chosen_keys, fitted_keys
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.laws import LAWS
 from hexservo.scenario.parameters import frame_period
@@ -207,7 +207,7 @@ def _of_coupling(scene: Scene, key: str) -> Iterator[str]:
 
 def _of_image(scene: Scene, key: str) -> Iterator[str]:
     """Yield where the law's own structure keeps it from settling as others do."""
-    law, machine = scene.scenario.controller.law, machine_of(scene.scenario)
+    law, machine = scene.scenario.controller.law, scene.machine
     traits = _core.LAW_TRAITS[law]
     if traits.points:  # it follows a pose, or inverts the image Jacobian
         return
@@ -239,7 +239,7 @@ def _of_way(scene: Scene) -> Iterator[str]:
     traits = _core.LAW_TRAITS[law]
     if not traits.inverse or not scene.has_points:
         return
-    machine = machine_of(scene.scenario)
+    machine = scene.machine
     first = machine.displacement - left_by_inverse(scene, machine)
     if not np.isfinite(first).all() or not nearest_limit(scene, scene.home.moved(machine.displacement)).within:
         return
@@ -260,7 +260,7 @@ def _of_pull(scene: Scene) -> Iterator[str]:
     traits = _core.LAW_TRAITS[law]
     if not (traits.prior and traits.inverse and scene.has_points and any(scene.scenario.simulation.start.pose)):
         return
-    machine = machine_of(scene.scenario)
+    machine = scene.machine
     if share_of_prior(scene, machine) <= 1.0:
         return
     left = left_by_inverse(scene, machine)

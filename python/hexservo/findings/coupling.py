@@ -11,7 +11,7 @@ from hexservo import _core
 from hexservo.findings.analysis.goal import SHOWN
 from hexservo.findings.analysis.scene import Scene
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.fitted import UPTAKE, auto_of, machine_of
+from hexservo.scenario.fitted import UPTAKE, auto_of
 
 _BAND = 0.05  # of the largest image error at the start
 _STEPS = 200  # in a period of the bandwidth
@@ -30,7 +30,7 @@ def settling_ratio(scene: Scene) -> float:
     where no pose shows the goal image.
     """
     scenario = scene.scenario
-    law, damping, machine = scenario.controller.law, auto_of(scenario).damping, machine_of(scenario)
+    law, damping, machine = scenario.controller.law, auto_of(scenario).damping, scene.machine
     parts = _core.LAW_TRAITS[law].parts
     diagonal = np.diag(machine.inertia)
     if "damping" not in parts or "coriolis_feedforward" in parts or np.array_equal(machine.mass, diagonal):

@@ -12,6 +12,7 @@ import numpy as np
 from hexservo import _core
 from hexservo.findings.analysis.poses import Poses
 from hexservo.scenario.arrays import Array, Mask
+from hexservo.scenario.fitted import Machine, machine_of
 from hexservo.scenario.leg_units import leg_units, stroke_length
 from hexservo.scenario.motion import moves
 from hexservo.scenario.parameters import Settings, core_parameters
@@ -81,6 +82,11 @@ class Scene:
         self.depth = float(from_home.mean())  # [m], of home
         self._nearest = _NEAR * float(from_home.min())
         self.unit: Array = np.repeat([self.depth, 1.0], 3)  # [m; rad]: moves the image alike in all six directions
+
+    @cached_property
+    def machine(self) -> Machine:
+        """What gains of the scenario depend on."""
+        return machine_of(self.scenario)
 
     @cached_property
     def unusual_body(self) -> str:
