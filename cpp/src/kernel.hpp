@@ -75,7 +75,7 @@ struct RunRequest {
   bool (*stop)(void* context, long long steps);
   void* context;
   long long ask_every;  ///< 1 or more where there is something to ask
-  RunAnswer* answers;  ///< `count` of them
+  RunAnswer* answers;   ///< `count` of them
 };
 
 enum class RunStatus : int { done, unknown_law, other_layout, not_uniform, unknown_places, no_memory };

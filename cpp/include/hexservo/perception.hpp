@@ -53,8 +53,8 @@ struct Sensing {
 /// How far a time may be off a tick, or an age off its limit, and still be at it: rounding [ticks].
 inline constexpr double kTickTolerance = 1e-6;
 
-/// Longest way of the clock from one tick to the next as the joints' readings count it [ticks]: of a sum that is larger,
-/// rounding would leave no time between later readings.
+/// Longest way of the clock from one tick to the next as the joints' readings count it [ticks]: of a sum that is
+/// larger, rounding would leave no time between later readings.
 inline constexpr double kLongestTick = 1e9;
 
 /// Ticks on which a clock may stand still; one that does so for longer has stopped.

@@ -335,7 +335,8 @@ std::array<S, 2> lane_sums(const R& a, const R& b) {
   }
 }
 
-/// a . b and c . d; places beyond the numbers must hold zeros in a and c, or in b and d, and finite numbers in the others.
+/// a . b and c . d; places beyond the numbers must hold zeros in a and c, or in b and d, and finite numbers in the
+/// others.
 template <class S, int K>
 std::array<S, 2> dots(const SideBySide<S, K>& a, const SideBySide<S, K>& b, const SideBySide<S, K>& c,
                       const SideBySide<S, K>& d) {
