@@ -70,7 +70,9 @@ def test_a_camera_without_a_period_keeps_its_keys(paper: hs.Scenario) -> None:
     section = found.section()
     assert section.verdict == "warning"
     assert any("do not tell their period" in sentence for sentence in section.sentences)
-    assert not {"camera.period", "camera.dropout"} & set(changes_of(log, fit_drives(log, METRES, delays=(1,)), found))
+    assert not {"camera.period", "camera.dropout"} & set(
+        changes_of(log, paper, fit_drives(log, METRES, delays=(1,)), found)
+    )
 
 
 def test_the_noise_is_what_the_law_tracking_assumes(paper: hs.Scenario) -> None:
@@ -106,7 +108,7 @@ def test_jitter_is_found_from_motion_and_is_no_noise(paper: hs.Scenario) -> None
     assert camera.jitter == pytest.approx(0.01, rel=0.4)
     assert camera.noise is not None
     assert camera.noise.value == pytest.approx(0.2, rel=4 / np.sqrt(2 * 0.7 * 135 * 7))
-    changes = changes_of(log, fit_drives(log, METRES, delays=(1,)), camera)
+    changes = changes_of(log, paper, fit_drives(log, METRES, delays=(1,)), camera)
     assert changes["camera.latency_jitter"] == 0.01
     assert changes["camera.latency"] == 0.05
     section = camera.section()
@@ -124,15 +126,15 @@ def test_exposure_times_that_are_wrong_are_a_fault_and_no_key(paper: hs.Scenario
     log = seen_log(paper, 0.05, stamps=0.008)
     camera = fit_camera(log, Scene(paper))
     scenario = paper.updated({"simulation.mode": "sampled", "simulation.step": 0.01, "camera.latency": 0.05})
-    assert faults_of(log, scenario, camera) == {"uncertainty.latency": -0.01}
+    assert faults_of(scenario, camera) == {"uncertainty.latency": -0.01}
     assert not any(
-        key.startswith("uncertainty") for key in changes_of(log, fit_drives(log, METRES, delays=(1,)), camera)
+        key.startswith("uncertainty") for key in changes_of(log, paper, fit_drives(log, METRES, delays=(1,)), camera)
     )
     section = camera.section()
     assert section.verdict == "warning"
     assert any("before what they state" in words for words in section.sentences)
     right = fit_camera(seen_log(paper, 0.05, stamps=0.0), Scene(paper))
-    assert faults_of(log, scenario, right) == faults_of(log, scenario, None) == {}
+    assert faults_of(scenario, right) == faults_of(scenario, None) == {}
     assert right.section().verdict == "good"
 
 
@@ -141,8 +143,8 @@ def test_a_machine_of_unknown_latency_uses_no_exposure_times_that_may_be_wrong(p
     machine = hs.load_scenario("pi-h824-positions", {"camera.latency_known": False})
     log = seen_log(paper, 0.05, stamps=0.02)
     camera = fit_camera(log, Scene(paper))
-    assert faults_of(log, machine, camera) == {}
-    assert faults_of(log, machine.updated({"camera.latency_known": True}), camera)
+    assert faults_of(machine, camera) == {}
+    assert faults_of(machine.updated({"camera.latency_known": True}), camera)
 
 
 def test_a_target_of_another_size_gives_no_noise_and_no_good_camera(paper: hs.Scenario) -> None:
@@ -158,7 +160,7 @@ def test_a_target_of_another_size_gives_no_noise_and_no_good_camera(paper: hs.Sc
     assert section.verdict == "warning"
     assert any("focal length" in words and "target.points" in words for words in section.sentences)
     assert any("it is more than noise" in words for words in section.sentences)
-    assert "camera.noise" not in changes_of(log, fit_drives(log, METRES, delays=(1,)), camera)
+    assert "camera.noise" not in changes_of(log, paper, fit_drives(log, METRES, delays=(1,)), camera)
     right = fit_camera(seen_log(paper, 0.06, stamps=None), Scene(paper))
     assert right.noise_is_white
     assert not right.target_is_apparent
