@@ -56,7 +56,7 @@ def changes_of(
     if drives.moved and drives.explains:
         changes |= {"actuators.kind": "position"} | _of_drives(drives, step)
     if camera is not None and camera.explains:
-        changes |= _of_camera(camera, step)
+        changes |= _of_camera(camera, machine, step)
     if motors is not None and motors.explains:
         changes |= motors.changes
         if motors.delay < MOST_DELAY:
@@ -128,17 +128,19 @@ def _of_drives(drives: Drives, step: float) -> dict[str, Any]:
     return changes
 
 
-def _of_camera(camera: CameraFit, step: float) -> dict[str, Any]:
+def _of_camera(camera: CameraFit, machine: Scenario, step: float) -> dict[str, Any]:
     changes: dict[str, Any] = {}
     # at an edge, and where it is correlated, motion that the model lacks is a part of the noise
-    if camera.noise is not None and not camera.at_edge and camera.noise_is_white:
+    if camera.noise is not None and not camera.at_edge and camera.noise_is_white and camera.noise_is_of_camera:
         changes |= {"camera.noise": _digits(camera.noise.value)}
     if camera.period is not None:
         changes |= {"camera.period": max(step, _whole(camera.period.value, step))}
     if camera.latency is not None and camera.latency_is_known:
-        jitter = min(camera.jitter or 0.0, 2 * max(camera.latency.value, 0.0))  # of which no frame comes too early
+        jitter = camera.jitter or 0.0 if camera.jitter_is_known else machine.camera.latency_jitter
+        jitter = min(jitter, 2 * max(camera.latency.value, 0.0))  # of which no frame comes too early
         changes |= {"camera.latency": max(0.0, _whole(camera.latency.value - jitter / 2, step))}
-        changes |= {"camera.latency_jitter": _whole(jitter, step)}
+        if camera.jitter_is_known:
+            changes |= {"camera.latency_jitter": _whole(jitter, step)}
     if camera.dropout is not None:
         changes |= {"camera.dropout": _digits(camera.dropout.value)}
     return changes
