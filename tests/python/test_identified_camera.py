@@ -183,7 +183,7 @@ def test_the_noise_of_joints_does_not_move_the_latency(paper: hs.Scenario) -> No
 
 
 def test_a_shift_of_noisy_readings_is_known_less_well() -> None:
-    """By the share of their slopes that is noise; what other numbers of the fit explain tells nothing of the shift."""
+    """By the share of their slopes that is noise; what other numbers explain does not determine it."""
     slopes = np.array([[3.0, 0.0], [4.0, 0.0], [7.0, 1.0]])
     assert overstated(slopes, 0.0) == pytest.approx(1.0)
     assert overstated(slopes, 5.0) == pytest.approx(25.0 / 20.0)
