@@ -43,7 +43,7 @@ def test_a_delay_beyond_what_is_tried_has_no_upper_end(paper: hs.Scenario) -> No
 
 
 @pytest.mark.slow
-def test_a_bandwidth_beyond_what_is_searched_has_no_upper_end() -> None:
+def test_a_bandwidth_beyond_what_is_searched_has_no_upper_end(paper: hs.Scenario) -> None:
     """A drive that is at its command after a tick: any bandwidth from some on is it."""
     random = np.random.default_rng(SEED)
     commands = 0.2 + wandering(random, 200, 0.01, 0.004, 0.2)
@@ -53,7 +53,7 @@ def test_a_bandwidth_beyond_what_is_searched_has_no_upper_end() -> None:
     bandwidth = found.fits[0].bandwidth
     assert bandwidth is not None
     assert bandwidth.high == np.inf
-    assert "actuators.position.bandwidth" not in changes_of(log, found, None)
+    assert "actuators.position.bandwidth" not in changes_of(log, paper, found, None)
     assert found.section().verdict != "good"
 
 
@@ -70,7 +70,7 @@ def slow_legs() -> tuple[Log, Drives]:
 def test_legs_with_a_slow_pole_give_a_pair_with_their_lag(paper: hs.Scenario, slow_legs: tuple[Log, Drives]) -> None:
     log, found = slow_legs
     assert not any(fit.response_is_known for fit in found.moved)
-    identified = paper.updated(changes_of(log, found, None)).actuators.position
+    identified = paper.updated(changes_of(log, paper, found, None)).actuators.position
     assert identified.damping / (np.pi * identified.bandwidth) == pytest.approx(0.25, rel=0.1)
     assert all(fit.lag is not None and fit.lag.low < 0.25 < fit.lag.high for fit in found.moved)
     section = found.section()
@@ -81,7 +81,9 @@ def test_legs_with_a_slow_pole_give_a_pair_with_their_lag(paper: hs.Scenario, sl
     assert any("only stand for the mean lag of 0.2" in sentence for sentence in section.sentences)
 
 
-def test_bandwidth_and_damping_are_keys_together_or_not_at_all(slow_legs: tuple[Log, Drives]) -> None:
+def test_bandwidth_and_damping_are_keys_together_or_not_at_all(
+    paper: hs.Scenario, slow_legs: tuple[Log, Drives]
+) -> None:
     log, slow = slow_legs
     known, unknown = Interval(8.0, 7.0, 9.0), Interval(8.0, -np.inf, np.inf)
 
@@ -89,7 +91,7 @@ def test_bandwidth_and_damping_are_keys_together_or_not_at_all(slow_legs: tuple[
         fits = [
             replace(fit, bandwidth=bandwidth, damping=damping, lag=lag) if fit.bandwidth else fit for fit in slow.fits
         ]
-        changes = changes_of(log, replace(slow, fits=tuple(fits)), None)
+        changes = changes_of(log, paper, replace(slow, fits=tuple(fits)), None)
         return {key.split(".")[-1]: changes[key] for key in changes if key.endswith(("bandwidth", "damping"))}
 
     assert keys_of(known, known, unknown) == {"bandwidth": 8.0, "damping": 8.0}
@@ -106,13 +108,15 @@ def with_fits(found: Drives, **changed: list[Any]) -> Drives:
     return replace(found, fits=tuple(fits))
 
 
-def test_best_fits_that_agree_stand_for_what_no_leg_determines_by_itself(slow_legs: tuple[Log, Drives]) -> None:
+def test_best_fits_that_agree_stand_for_what_no_leg_determines_by_itself(
+    paper: hs.Scenario, slow_legs: tuple[Log, Drives]
+) -> None:
     """As of soft legs that the platform couples; where they do not agree, or are at an edge, the keys are left."""
     log, slow = slow_legs
     open_ended = [Interval(value, -np.inf, np.inf) for value in (1.72, 1.76, 1.78, 1.81, 1.84, 1.89)]
     lags = [Interval(value, -np.inf, np.inf) for value in (0.110, 0.119, 0.121, 0.141, 0.146, 0.146)]
     agreeing = with_fits(slow, bandwidth=open_ended, damping=open_ended, lag=lags)
-    changes = changes_of(log, agreeing, None)
+    changes = changes_of(log, paper, agreeing, None)
     found = [changes[f"actuators.position.{name}"] for name in ("bandwidth", "damping")]
     assert found[0] == pytest.approx(np.exp(np.mean(np.log([one.value for one in open_ended]))), rel=1e-5)
     assert found[1] / (np.pi * found[0]) == pytest.approx(
@@ -124,11 +128,13 @@ def test_best_fits_that_agree_stand_for_what_no_leg_determines_by_itself(slow_le
         with_fits(slow, bandwidth=open_ended, damping=open_ended, lag=apart),
         with_fits(slow, bandwidth=open_ended, damping=open_ended, lag=lags, at_edge=[True] * 3 + [False] * 3),
     ):
-        assert "actuators.position.bandwidth" not in changes_of(log, unlike, None)
+        assert "actuators.position.bandwidth" not in changes_of(log, paper, unlike, None)
         assert any("are left as they are" in sentence for sentence in unlike.section().sentences)
 
 
-def test_no_key_is_taken_from_legs_of_which_little_is_predicted(slow_legs: tuple[Log, Drives]) -> None:
+def test_no_key_is_taken_from_legs_of_which_little_is_predicted(
+    paper: hs.Scenario, slow_legs: tuple[Log, Drives]
+) -> None:
     log, slow = slow_legs
     bandwidths = [Interval(8.0, 7.9, 8.1)] * 5 + [Interval(2.0, 1.99, 2.01)]
     damping = [Interval(1.0, 0.9, 1.1)] * 6
@@ -137,12 +143,12 @@ def test_no_key_is_taken_from_legs_of_which_little_is_predicted(slow_legs: tuple
         return with_fits(slow, bandwidth=bandwidths, damping=damping, explained=list(explained))
 
     found = with_shares(0.9, 0.9, 0.8, 0.7, 0.6, 0.4)
-    assert changes_of(log, found, None)["actuators.position.bandwidth"] == pytest.approx(8.0)
+    assert changes_of(log, paper, found, None)["actuators.position.bandwidth"] == pytest.approx(8.0)
     section = found.section()
     assert section.verdict == "warning"
     assert any("Less than half of the motion of leg 6 is predicted" in sentence for sentence in section.sentences)
     for useless in (with_shares(0.9, 0.9, 0.9, 0.9, 0.9, -0.1), with_shares(0.9, 0.9, 0.9, 0.4, 0.4, 0.4)):
-        assert not any(key.startswith("actuators") for key in changes_of(log, useless, None))
+        assert not any(key.startswith("actuators") for key in changes_of(log, paper, useless, None))
         assert useless.section().verdict == "bad"
 
 
@@ -162,7 +168,7 @@ def test_the_lag_of_a_fast_leg_at_an_edge_is_not_determined() -> None:
 
 
 @pytest.mark.parametrize("change", ["opposite", "exchanged"])
-def test_joints_that_do_not_follow_the_commands_give_no_drive(change: str) -> None:
+def test_joints_that_do_not_follow_the_commands_give_no_drive(paper: hs.Scenario, change: str) -> None:
     random = np.random.default_rng(SEED)
     commands = np.full((200, 6), 0.2)
     commands[:, 3] += wandering(random, 200, 0.01, 0.004, 0.2)[:, 3]
@@ -177,7 +183,7 @@ def test_joints_that_do_not_follow_the_commands_give_no_drive(change: str) -> No
     assert section.verdict == "bad"
     assert "commands and joints exchanged, or of opposite sign" in section.sentences[0]
     assert "predicts at least" not in section.sentences[0]
-    assert not any(key.startswith("actuators") for key in changes_of(log, found, None))
+    assert not any(key.startswith("actuators") for key in changes_of(log, paper, found, None))
 
 
 def test_diagnose_names_what_the_log_does_not_give(paper: hs.Scenario, tmp_path: Path) -> None:
@@ -240,7 +246,7 @@ def test_a_latency_beyond_what_is_searched_has_no_upper_end(paper: hs.Scenario, 
     assert section.verdict == "warning"
     assert "at least" in section.sentences[0]
     assert "does not tell" not in section.sentences[0]
-    changes = changes_of(log, fit_drives(log, METRES, delays=(1,)), camera)
+    changes = changes_of(log, paper, fit_drives(log, METRES, delays=(1,)), camera)
     assert "camera.period" in changes
     assert not {"camera.latency", "camera.latency_jitter", "camera.noise"} & set(changes)
 
@@ -265,5 +271,5 @@ def test_images_that_the_joints_do_not_predict_give_no_camera(paper: hs.Scenario
     assert section.verdict == "bad"
     assert "another order of the points" in section.sentences[0]
     assert "y up in place of down" in section.sentences[0]
-    changes = changes_of(log, fit_drives(log, METRES, delays=(1,)), camera)
+    changes = changes_of(log, paper, fit_drives(log, METRES, delays=(1,)), camera)
     assert not any(key.startswith("camera") for key in changes)

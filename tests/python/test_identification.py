@@ -18,6 +18,7 @@ from hexservo import _core
 from hexservo.cli.commands import app
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.evidence import Table
+from hexservo.findings.identification.changes import in_whole_ticks, ticks_of
 from hexservo.findings.identification.drives import DriveFit, fit_drives
 from hexservo.findings.identification.frames import MOST_LATENCY, fit_camera
 from hexservo.findings.identification.interval import Interval, correlated, deviations
@@ -388,6 +389,48 @@ def test_a_log_without_images_keeps_the_camera_in_whole_ticks(paper: hs.Scenario
     assert ["camera.period", "0.04 (whole ticks)", "0.033"] in table.rows
     rests = hs.identify(replace(log, commands=np.full_like(commands, 0.205)), machine)
     assert rests.rounded["actuators.delay"] == 0.0
+
+
+@pytest.mark.parametrize("rate", [30, 45, 60, 75, 90, 300])
+@pytest.mark.parametrize("decimals", [6, 9, None])
+def test_a_rate_that_is_no_decimal_period_keeps_the_scenario_s_step(
+    paper: hs.Scenario, rate: int, decimals: int | None
+) -> None:
+    """The log's times are rounded, and the scenario's times remain whole numbers of its step."""
+    step = 1.0 / rate
+    times = {"simulation.duration": 10.0, "camera.period": 2 * step, "camera.latency": 4 * step}
+    machine = paper.updated({"simulation.mode": "sampled", "simulation.step": step, **times})
+    time = step * np.arange(600.0)
+    time = time if decimals is None else np.round(time, decimals)
+    legs = np.full((600, 6), 0.205)
+    changes = ticks_of(Log(time, float(time[-1]) / 599.0, legs, legs, None), machine)
+    assert changes["simulation.step"] == step
+    assert in_whole_ticks(machine, changes) == {}
+
+
+@pytest.mark.parametrize("step", [0.0166666667, 0.0200004, 1.0 / 60.0])
+def test_times_are_whole_ticks_of_a_log_of_another_rate(paper: hs.Scenario, step: float) -> None:
+    machine = paper.updated({"simulation.mode": "sampled", "simulation.step": 0.01, "simulation.duration": 10.0})
+    legs = np.full((600, 6), 0.205)
+    changes = ticks_of(Log(step * np.arange(600.0), step, legs, legs, None), machine)
+    assert changes["simulation.step"] == float(f"{step:.9g}")
+    rounded = in_whole_ticks(machine, changes)
+    assert rounded["simulation.duration"] == pytest.approx(10.0, abs=step / 2)
+    assert machine.updated(changes | rounded).simulation.step == changes["simulation.step"]
+
+
+def test_a_scenario_without_a_run_at_the_log_s_ticks_is_refused_before_the_fit(
+    paper: hs.Scenario, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unexpected(*_: object) -> None:
+        pytest.fail("expected no fit before the scenario is known to run")
+
+    monkeypatch.setattr("hexservo.findings.identification.fit_drives", unexpected)
+    legs = np.full((100, 6), 0.205)
+    log = Log(1e-5 * np.arange(100.0), 1e-5, legs, legs, None)
+    long = paper.updated({"simulation.duration": 1e5, "simulation.step": 0.01, "simulation.log_every": 1000})
+    with pytest.raises(hs.ScenarioError, match=r"simulation\.duration: expected at most"):
+        hs.identify(log, long)
 
 
 def written(log: Log, path: Path) -> Path:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 from scipy.stats import binom
 
 import hexservo as hs
@@ -16,8 +17,10 @@ from hexservo.findings.identification.changes import changes_of, faults_of, of_l
 from hexservo.findings.identification.drives import fit_drives
 from hexservo.findings.identification.frame_clock import clock
 from hexservo.findings.identification.frames import CameraFit, _repeats, fit_camera
-from hexservo.findings.identification.interval import deviations, robust_deviations
+from hexservo.findings.identification.frames_noise import joint_deviations, overstated, scatter_of, spline_shares
+from hexservo.findings.identification.interval import Interval, deviations, robust_deviations
 from hexservo.findings.identification.log import Frames, Log
+from recorded_machines import see
 from test_identification import METRES, SEED, seen_log, within
 
 Array = NDArray[np.float64]
@@ -70,7 +73,9 @@ def test_a_camera_without_a_period_keeps_its_keys(paper: hs.Scenario) -> None:
     section = found.section()
     assert section.verdict == "warning"
     assert any("do not tell their period" in sentence for sentence in section.sentences)
-    assert not {"camera.period", "camera.dropout"} & set(changes_of(log, fit_drives(log, METRES, delays=(1,)), found))
+    assert not {"camera.period", "camera.dropout"} & set(
+        changes_of(log, paper, fit_drives(log, METRES, delays=(1,)), found)
+    )
 
 
 def test_the_noise_is_what_the_law_tracking_assumes(paper: hs.Scenario) -> None:
@@ -106,7 +111,7 @@ def test_jitter_is_found_from_motion_and_is_no_noise(paper: hs.Scenario) -> None
     assert camera.jitter == pytest.approx(0.01, rel=0.4)
     assert camera.noise is not None
     assert camera.noise.value == pytest.approx(0.2, rel=4 / np.sqrt(2 * 0.7 * 135 * 7))
-    changes = changes_of(log, fit_drives(log, METRES, delays=(1,)), camera)
+    changes = changes_of(log, paper, fit_drives(log, METRES, delays=(1,)), camera)
     assert changes["camera.latency_jitter"] == 0.01
     assert changes["camera.latency"] == 0.05
     section = camera.section()
@@ -120,19 +125,114 @@ def test_jitter_is_found_from_motion_and_is_no_noise(paper: hs.Scenario) -> None
     assert still.noise.value == pytest.approx(camera.noise.value, rel=0.15)
 
 
+def test_the_noise_of_joints_is_found_from_their_readings() -> None:
+    random = np.random.default_rng(SEED)
+    motion = 0.2 + 0.01 * np.sin(2 * np.pi * 2.0 * 0.01 * np.arange(2000.0)[:, None] + np.arange(6.0))
+    deviations = 1e-5 * np.arange(1.0, 7.0)
+    joints = motion + deviations * random.normal(size=motion.shape)
+    log = Log(0.01 * np.arange(2000.0), 0.01, motion, joints, None)
+    np.testing.assert_allclose(joint_deviations(log), deviations, rtol=0.15)
+    assert (joint_deviations(replace(log, joints=motion)) < 1e-7).all()
+
+
+def test_a_spline_has_less_noise_between_two_ticks() -> None:
+    time = 0.01 * np.arange(100.0)
+    readings = np.random.default_rng(SEED).normal(size=(100, 4000))
+    log = Log(time, 0.01, np.zeros((100, 6)), np.zeros((100, 6)), None)
+    at = np.array([0.4, 0.4025, 0.505, 0.5975])
+    shares = spline_shares(log, at)
+    np.testing.assert_allclose(shares, CubicSpline(time, readings)(at).var(axis=1), rtol=0.1)
+    assert shares[0] == pytest.approx(1.0)
+    assert shares[1] == pytest.approx(shares[3])
+    slopes = CubicSpline(time, readings)(at, 1).var(axis=1)
+    np.testing.assert_allclose(spline_shares(log, at, derivative=1), slopes, rtol=0.1)
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.02])
+def test_the_noise_of_joints_is_neither_noise_nor_jitter_of_the_camera(jitter: float) -> None:
+    """Of images that joints move along their motion, as they do: 0.3 px by the camera, about 0.2 px by joints."""
+    random = np.random.default_rng(SEED)
+    by_joints = random.normal(0.0, 0.08, (600, 8, 6))
+    moving = np.einsum("ijk,ik->ij", by_joints, random.normal(size=(600, 6)))
+    speed = 100.0 * moving / np.linalg.norm(moving, axis=1)[:, None] * random.uniform(0.0, 2.0, (600, 1))
+    left = random.normal(0.0, 0.3, (600, 8)) + np.einsum("ijk,ik->ij", by_joints, random.normal(size=(600, 6)))
+    left += speed * random.uniform(-jitter / 2, jitter / 2, (600, 1))
+    found = scatter_of(left, speed, by_joints, 1.0)
+    assert within(found.noise, 0.3)
+    assert 0.2 < found.of_joints < 0.5
+    assert found.jitter == (None if jitter == 0.0 else pytest.approx(jitter, rel=0.2))
+    blamed = scatter_of(left, speed, np.zeros_like(by_joints), 1.0)
+    assert blamed.noise.low > 0.3
+    assert blamed.jitter is not None
+
+
+def test_the_noise_of_joints_does_not_move_the_latency(paper: hs.Scenario) -> None:
+    """Of frames that are all taken at a quarter of a tick, where the spline has more noise than between two."""
+    log = seen_log(paper, 0.05, stamps=None)
+    exposure: Array = 0.3025 + 0.03 * np.arange(150.0)
+    lengths = CubicSpline(log.time, log.joints)(exposure)
+    for seed in (0, 1):
+        random = np.random.default_rng(seed)
+        frames = replace(see(paper, lengths, exposure, np.asarray(exposure + 0.05), 0.05, random), exposure=None)
+        noisy = log.joints + random.normal(0.0, 5e-5, log.joints.shape)
+        camera = fit_camera(replace(log, joints=noisy, frames=frames), Scene(paper))
+        assert within(camera.latency, 0.05)
+        assert camera.jitter is None
+        assert not camera.noise_is_of_camera
+        assert camera.section().verdict == "warning"
+
+
+def test_a_shift_of_noisy_readings_is_known_less_well() -> None:
+    """By the share of their slopes that is noise; what other numbers explain does not determine it."""
+    slopes = np.array([[3.0, 0.0], [4.0, 0.0], [7.0, 1.0]])
+    assert overstated(slopes, 0.0) == pytest.approx(1.0)
+    assert overstated(slopes, 5.0) == pytest.approx(25.0 / 20.0)
+    assert overstated(slopes, 25.0) == np.inf
+
+
+def test_what_is_no_noise_of_the_camera_is_no_key(paper: hs.Scenario) -> None:
+    """Nor is it jitter; the latency is that found less half of the jitter that was given."""
+    log = seen_log(paper, 0.05, stamps=None)
+    drives = fit_drives(log, METRES, delays=(1,))
+    known = CameraFit(
+        300, latency=Interval(0.07, 0.069, 0.071), jitter=0.04, noise=Interval(0.5, 0.4, 0.6), explained=1.0
+    )
+    given = paper.updated({"camera.latency": 0.1, "camera.latency_jitter": 0.02, "simulation.mode": "sampled"})
+    changes = changes_of(log, given, drives, known)
+    assert (changes["camera.latency"], changes["camera.latency_jitter"]) == (0.05, 0.04)
+    assert "camera.noise" in changes
+    for doubtful, reason in (
+        (replace(known, of_joints=0.7), "joints explains 70 %"),
+        (replace(known, correlated=7.0), "corr"),
+    ):
+        changes = changes_of(log, given, drives, doubtful)
+        assert changes["camera.latency"] == 0.06
+        assert not {"camera.noise", "camera.latency_jitter"} & set(changes)
+        section = doubtful.section()
+        (table,) = section.items
+        assert isinstance(table, Table)
+        assert ["a frame is later by at most", "not determined", "ms"] in [list(row) for row in table.rows]
+        words = " ".join(section.sentences)
+        assert reason in words
+        assert "the log does not tell which" in words
+        assert "`camera.noise` and `camera.latency_jitter` are left" in words
+        stamped = replace(doubtful, stamps=Interval(0.0, -1e-4, 1e-4))
+        assert changes_of(log, given, drives, stamped)["camera.latency_jitter"] == 0.04
+
+
 def test_exposure_times_that_are_wrong_are_a_fault_and_no_key(paper: hs.Scenario) -> None:
     log = seen_log(paper, 0.05, stamps=0.008)
     camera = fit_camera(log, Scene(paper))
     scenario = paper.updated({"simulation.mode": "sampled", "simulation.step": 0.01, "camera.latency": 0.05})
-    assert faults_of(log, scenario, camera) == {"uncertainty.latency": -0.01}
+    assert faults_of(scenario, camera) == {"uncertainty.latency": -0.01}
     assert not any(
-        key.startswith("uncertainty") for key in changes_of(log, fit_drives(log, METRES, delays=(1,)), camera)
+        key.startswith("uncertainty") for key in changes_of(log, paper, fit_drives(log, METRES, delays=(1,)), camera)
     )
     section = camera.section()
     assert section.verdict == "warning"
     assert any("before what they state" in words for words in section.sentences)
     right = fit_camera(seen_log(paper, 0.05, stamps=0.0), Scene(paper))
-    assert faults_of(log, scenario, right) == faults_of(log, scenario, None) == {}
+    assert faults_of(scenario, right) == faults_of(scenario, None) == {}
     assert right.section().verdict == "good"
 
 
@@ -141,8 +241,8 @@ def test_a_machine_of_unknown_latency_uses_no_exposure_times_that_may_be_wrong(p
     machine = hs.load_scenario("pi-h824-positions", {"camera.latency_known": False})
     log = seen_log(paper, 0.05, stamps=0.02)
     camera = fit_camera(log, Scene(paper))
-    assert faults_of(log, machine, camera) == {}
-    assert faults_of(log, machine.updated({"camera.latency_known": True}), camera)
+    assert faults_of(machine, camera) == {}
+    assert faults_of(machine.updated({"camera.latency_known": True}), camera)
 
 
 def test_a_target_of_another_size_gives_no_noise_and_no_good_camera(paper: hs.Scenario) -> None:
@@ -158,7 +258,7 @@ def test_a_target_of_another_size_gives_no_noise_and_no_good_camera(paper: hs.Sc
     assert section.verdict == "warning"
     assert any("focal length" in words and "target.points" in words for words in section.sentences)
     assert any("it is more than noise" in words for words in section.sentences)
-    assert "camera.noise" not in changes_of(log, fit_drives(log, METRES, delays=(1,)), camera)
+    assert "camera.noise" not in changes_of(log, paper, fit_drives(log, METRES, delays=(1,)), camera)
     right = fit_camera(seen_log(paper, 0.06, stamps=None), Scene(paper))
     assert right.noise_is_white
     assert not right.target_is_apparent

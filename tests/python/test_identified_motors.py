@@ -131,7 +131,9 @@ def test_a_delay_of_motors_beyond_what_is_tried_is_no_key(paper: hs.Scenario) ->
     assert "actuators.delay" not in found.changes
     other = replace(found.motors, explained=-0.2)
     assert other.section().verdict == "bad"
-    changes = changes_of(Log(TICK * np.arange(300.0), TICK, commands, joints, None), found.drives, None, other)
+    changes = changes_of(
+        Log(TICK * np.arange(300.0), TICK, commands, joints, None), given(machine), found.drives, None, other
+    )
     assert not any(key.startswith("actuators.motor") for key in changes)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Section, as_data
-from hexservo.findings.identification.changes import Changes, changes_of, faults_of, in_whole_ticks, of_law
+from hexservo.findings.identification.changes import Changes, changes_of, faults_of, in_whole_ticks, of_law, ticks_of
 from hexservo.findings.identification.drives import DriveFit, Drives, fit_drives
 from hexservo.findings.identification.frames import CameraFit, fit_camera
 from hexservo.findings.identification.log import Log, read_log
@@ -113,6 +113,8 @@ def identify(
         raise wrong_type("machine", "a Scenario", machine)
     record = log if isinstance(log, Log) else read_log(log)
     require_reach(record, machine, None if isinstance(log, Log) else os.fsdecode(log))
+    ticks = ticks_of(record, machine)
+    machine.updated(ticks | in_whole_ticks(machine, ticks))  # refuses a scenario that has no run at these ticks
     with reporting(progress, "legs identified") as report:
         drives = fit_drives(record, leg_units(machine.robot), report)
     scene = Scene(machine)
@@ -123,9 +125,9 @@ def identify(
             found = fit_motors(record, machine, drives, report)
         if found is not None and found.explains:  # one delay for the motors and for what the controller takes them for
             drives = fit_drives(record, leg_units(machine.robot), delays=(found.delay,))
-    changes = changes_of(record, drives, camera, found)
+    changes = changes_of(record, machine, drives, camera, found)
     changes |= of_law(machine, changes)
-    rounded = in_whole_ticks(record, machine, changes)
+    rounded = in_whole_ticks(machine, changes)
     scenario = machine.updated(changes | rounded)
     return Identification(
         machine,
@@ -135,6 +137,6 @@ def identify(
         camera,
         found,
         rounded,
-        faults_of(record, scenario, camera),
+        faults_of(scenario, camera),
         end_of(record, scene, feature_noise(scenario.camera)),
     )

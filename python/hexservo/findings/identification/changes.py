@@ -42,14 +42,21 @@ class Changes(Part):
     faults: Mapping[str, Any]  # keys that only a diagnosis of the log has
 
 
-def changes_of(log: Log, drives: Drives, camera: CameraFit | None, motors: MotorFit | None = None) -> dict[str, Any]:
+def ticks_of(log: Log, machine: Scenario) -> dict[str, Any]:
+    """Return the keys of the loop that any log gives, whatever its fits do."""
+    return {"simulation.mode": "sampled", "simulation.step": log.step_near(machine.simulation.step)}
+
+
+def changes_of(
+    log: Log, machine: Scenario, drives: Drives, camera: CameraFit | None, motors: MotorFit | None = None
+) -> dict[str, Any]:
     """Return the keys that the log gives, by dotted name: none of a part whose model is not of the machine."""
-    step = log.step
-    changes: dict[str, Any] = {"simulation.mode": "sampled", "simulation.step": step}
+    changes = ticks_of(log, machine)
+    step = changes["simulation.step"]
     if drives.moved and drives.explains:
         changes |= {"actuators.kind": "position"} | _of_drives(drives, step)
     if camera is not None and camera.explains:
-        changes |= _of_camera(camera, step)
+        changes |= _of_camera(camera, machine, step)
     if motors is not None and motors.explains:
         changes |= motors.changes
         if motors.delay < MOST_DELAY:
@@ -68,7 +75,7 @@ def of_law(machine: Scenario, changes: Mapping[str, Any]) -> dict[str, Any]:
     return {"controller.tracking.noise": noise}
 
 
-def faults_of(log: Log, scenario: Scenario, camera: CameraFit | None) -> dict[str, Any]:
+def faults_of(scenario: Scenario, camera: CameraFit | None) -> dict[str, Any]:
     """Return the key of exposure times that are wrong by more than half a tick, as the logged machine has them.
 
     It is no key of the identified scenario, whose exported controller would assume that error. None of a machine whose
@@ -78,14 +85,23 @@ def faults_of(log: Log, scenario: Scenario, camera: CameraFit | None) -> dict[st
         return {}
     if camera is None or not camera.explains or camera.stamps is None or not camera.stamps_are_wrong:
         return {}
-    step = log.step
-    error = max(_whole(-camera.stamps.value, step), -scenario.camera.latency)  # no frame is stamped after its arrival
+    error = max(
+        _whole(-camera.stamps.value, scenario.simulation.step), -scenario.camera.latency
+    )  # no frame is stamped after its arrival
     return {} if error == 0.0 else {"uncertainty.latency": error}
 
 
-def in_whole_ticks(log: Log, machine: Scenario, changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the times of a machine that the log does not give and that are no whole ticks of it, as such."""
-    step, rounded = log.step, {}
+def in_whole_ticks(machine: Scenario, changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the times of a machine that the log does not give and that are no whole ticks of it, as such.
+
+    Parameters
+    ----------
+    machine
+        That was given.
+    changes
+        Keys that the log gives, with `simulation.step`.
+    """
+    step, rounded = changes["simulation.step"], {}
     for key, fewest in _FEWEST_TICKS.items():
         given = value_at(machine, key)
         if key in changes or given is None:
@@ -112,25 +128,30 @@ def _of_drives(drives: Drives, step: float) -> dict[str, Any]:
     return changes
 
 
-def _of_camera(camera: CameraFit, step: float) -> dict[str, Any]:
+def _of_camera(camera: CameraFit, machine: Scenario, step: float) -> dict[str, Any]:
     changes: dict[str, Any] = {}
     # at an edge, and where it is correlated, motion that the model lacks is a part of the noise
-    if camera.noise is not None and not camera.at_edge and camera.noise_is_white:
+    if camera.noise is not None and not camera.at_edge and camera.noise_is_white and camera.noise_is_of_camera:
         changes |= {"camera.noise": _digits(camera.noise.value)}
     if camera.period is not None:
         changes |= {"camera.period": max(step, _whole(camera.period.value, step))}
     if camera.latency is not None and camera.latency_is_known:
-        jitter = min(camera.jitter or 0.0, 2 * max(camera.latency.value, 0.0))  # of which no frame comes too early
+        jitter = camera.jitter or 0.0 if camera.jitter_is_known else machine.camera.latency_jitter
+        jitter = min(jitter, 2 * max(camera.latency.value, 0.0))  # of which no frame comes too early
         changes |= {"camera.latency": max(0.0, _whole(camera.latency.value - jitter / 2, step))}
-        changes |= {"camera.latency_jitter": _whole(jitter, step)}
+        if camera.jitter_is_known:
+            changes |= {"camera.latency_jitter": _whole(jitter, step)}
     if camera.dropout is not None:
         changes |= {"camera.dropout": _digits(camera.dropout.value)}
     return changes
 
 
 def _whole(value: float, step: float) -> float:
-    """Return the nearest whole number of servo periods, as scenarios have all times of a camera."""
-    return float(f"{round(value / step) * step:.9g}")
+    """Return the nearest whole number of servo periods, as scenarios have all times of a camera.
+
+    It has more digits than a step has, since the core refuses a time that is off by 1e-9 of itself.
+    """
+    return float(f"{round(value / step) * step:.12g}")
 
 
 def _digits(value: float) -> float:

@@ -12,14 +12,20 @@ from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.optimize import least_squares, minimize_scalar
-from scipy.stats import chi2
+from scipy.optimize import least_squares
 
 from hexservo import _core
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.identification.frame_clock import clock
-from hexservo.findings.identification.interval import LEVEL, NORMAL, Interval, correlated, half_width, robust_deviations
+from hexservo.findings.identification.frames_noise import (
+    image_of_noise,
+    joint_deviations,
+    overstated,
+    scatter_of,
+    spline_shares,
+)
+from hexservo.findings.identification.interval import Interval, correlated, half_width, robust_deviations
 from hexservo.findings.identification.log import FITTED, LEAST_EXPLAINED, Frames, Log, leg_moves
 from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array, Mask
@@ -35,6 +41,7 @@ _TARGET = 6  # numbers of its displacement
 _RARE = 0.01  # share of the frames at either end of the latencies from which jitter is not taken
 _SAME = 1e-9  # times that differ by less are the same [s]
 _WHITE = 2.0  # frames over which what a fit with the true calibration leaves is correlated, at most
+_MOST_OF_JOINTS = 0.5  # share of what a fit leaves that the joints' noise may explain, for the rest to be of a camera
 _BY_ITSELF = 0.05  # of the frames that are equal to the one before: more are equal since the image is rounded, or rests
 _CLEAR = 5.0  # resolutions of the image, or deviations of the joints' noise, from which on there is motion
 _APPARENT = 3.0  # [px]: what a displaced target moves the image by from which on the scenario does not see alike
@@ -65,6 +72,7 @@ class CameraFit(Part):
     repeated: int = 0  # frames that repeat the one before: they do not count
     correlated: float = 1.0  # frames over which what the fit leaves is, in half of the coordinates; 1 of white noise
     target_pixels: float = 0.0  # what the target's displacement moves the image by, RMS of a coordinate [px]
+    of_joints: float = 0.0  # share of what the fit leaves across the motion that the noise of the joints explains
     open: str = ""  # why nothing was found; empty if something was
 
     @property
@@ -76,6 +84,16 @@ class CameraFit(Part):
     def noise_is_white(self) -> bool:
         """Whether what the fit leaves is noise, and not what the model lacks."""
         return self.correlated <= _WHITE
+
+    @property
+    def noise_is_of_camera(self) -> bool:
+        """Whether what the fit leaves is more than the noise of the joints that the image is predicted from."""
+        return self.of_joints <= _MOST_OF_JOINTS
+
+    @property
+    def jitter_is_known(self) -> bool:
+        """Whether exposure times tell the scatter of the latency, or else images that are off by noise alone."""
+        return self.stamps is not None or (self.noise_is_white and self.noise_is_of_camera)
 
     @property
     def target_is_apparent(self) -> bool:
@@ -175,9 +193,7 @@ def _movement(log: Log, arrival: Array) -> Callable[[int, int], bool]:
     """Return whether a joint moves beyond its noise from one frame to a later one, in both halves of that time."""
     ticks = np.clip(np.searchsorted(log.time, arrival, side="right") - 1, 0, None)
     joints = log.joints[ticks]
-    # The fourth differences of white noise have sqrt(70) times its deviation, and little of a motion; those of two
-    # readings have sqrt(2) times it.
-    noise = NORMAL * np.median(np.abs(np.diff(log.joints, n=4, axis=0)), axis=0) / np.sqrt(35.0)
+    noise = np.sqrt(2.0) * joint_deviations(log)  # of the difference of two readings
 
     def moves(first: int, end: int) -> bool:
         middle = (first + end + 1) // 2
@@ -233,6 +249,12 @@ class _Sight:
             found.append((position, quaternion))
         return Poses(np.array([one for one, _ in found]), np.array([one for _, one in found]))
 
+    def by_noise(self, deviations: Array, late: float) -> Array:
+        """Return what these deviations of the joints (6,) move the image by, (m, 2p, 6) [px]; 0 without poses."""
+        poses = self.poses(late)
+        none = np.zeros((*self.features.shape, 6))
+        return none if poses is None else image_of_noise(self.scene, poses, deviations)
+
     def left(self, late: float, displacement: Array, poses: Poses | None = None) -> Array | None:
         """Return what the image differs by from the frames, (m, 2p) [px], with the target displaced in B [m; rad]."""
         poses = self.poses(late) if poses is None else poses
@@ -257,10 +279,6 @@ def _fit(sight: _Sight, log: Log, *, stamped: bool) -> tuple[Interval, dict[str,
     unit = np.concatenate([np.full(3, sight.scene.depth), np.ones(3)])
     lowest = -sight.latest if stamped else 0.0
 
-    def residuals(x: Array) -> Array:
-        left = part.left(float(x[0] * sight.latest), x[1:] * unit)
-        return np.full(part.features.size, 1e6) if left is None else left.ravel()
-
     best = None
     for late in np.linspace(lowest, sight.latest, _TRIED):
         poses = part.poses(float(late))
@@ -276,60 +294,42 @@ def _fit(sight: _Sight, log: Log, *, stamped: bool) -> tuple[Interval, dict[str,
             best = (start.cost, float(late), start.x)
     if best is None or best[0] > 1e11:
         return "the logged joints are no pose of the scenario's legs, or the target is behind the camera"
+    joint_noise = joint_deviations(log)
+    of_joints = (part.by_noise(joint_noise, best[1]) ** 2).sum(axis=(1, 2))
+
+    def residuals(x: Array) -> Array:
+        late = float(x[0] * sight.latest)
+        left = part.left(late, x[1:] * unit)
+        # The spline has most of the joints' noise at ticks: without the last number, whose square is what this lacks
+        # of a constant, least squares would move the frames' times to between two.
+        evened = np.sqrt(float(of_joints @ (2.0 - spline_shares(log, part.times - late))))
+        return np.append(np.full(part.features.size, 1e6) if left is None else left.ravel(), evened)
+
     first = np.concatenate([[best[1] / sight.latest], best[2]])
     bounds = [np.r_[lowest / sight.latest, np.full(6, -np.inf)], np.r_[1.0, np.full(6, np.inf)]]
     fit = least_squares(residuals, first, bounds=bounds, x_scale="jac", max_nfev=_ROUNDS)
-    left = fit.fun.reshape(part.features.shape)
+    jacobian, left = fit.jac[:-1], fit.fun[:-1].reshape(part.features.shape)
     lasting = [correlated(column) for column in left.T]
     together = max(lasting)
-    sigma = robust_deviations(fit.jac, fit.fun, fitted, together)
+    sigma = robust_deviations(jacobian, left.ravel(), fitted, together)
+    by_noise = float(of_joints @ spline_shares(log, part.times - fit.x[0] * sight.latest, derivative=1))
+    sigma[0] *= overstated(jacobian, by_noise * sight.latest**2)
     shift = _bounded(Interval.around(fit.x[0], float(sigma[0])).times(sight.latest), lowest, sight.latest)
-    noise, jitter = _noise_and_jitter(left, fit.jac[:, 0].reshape(left.shape) / sight.latest, together)
+    shares = np.sqrt(spline_shares(log, part.times - shift.value))
+    by_joints = shares[:, None, None] * part.by_noise(joint_noise, shift.value)
+    scatter = scatter_of(left, jacobian[:, 0].reshape(left.shape) / sight.latest, by_joints, together)
     target = fit.x[1:] * unit
     undisplaced = part.left(shift.value, np.zeros(_TARGET))
     return shift, {
-        "jitter": None if stamped else jitter,
-        "noise": noise,
+        "jitter": scatter.jitter,
+        "noise": scatter.noise,
+        "of_joints": scatter.of_joints,
         "explained": _predicted(sight, log, shift.value, target, fitted),
         "target": target,
         "target_deviations": sigma[1:] * unit,
         "correlated": float(np.median(lasting)),
         "target_pixels": np.inf if undisplaced is None else float(np.sqrt(np.mean((left - undisplaced) ** 2))),
     }
-
-
-def _noise_and_jitter(left: Array, speed: Array, together: float) -> tuple[Interval, float | None]:
-    """Return the standard deviation of a coordinate [px], and how much later some frames are than others [s].
-
-    A frame that is late by d differs by d times the speed of the image, and so along it only: what is at right angles
-    is noise. Along it the variance is that of the noise and speed^2 times that of d, the most likely of which counts if
-    its likelihood ratio to 0 is significant. The width of a uniform distribution is sqrt(12) standard deviations.
-
-    Parameters
-    ----------
-    left
-        (m, 2p) residuals [px].
-    speed
-        (m, 2p) of the image [px/s].
-    together
-        Over how many frames residuals are correlated.
-    """
-    size = np.linalg.norm(speed, axis=1)
-    along = np.einsum("ij,ij->i", left, speed) / np.where(size > 0.0, size, 1.0)
-    power = float((left**2).sum() - along @ along)
-    freedom = len(left) * (left.shape[1] - 1) - _TARGET
-    low, high = chi2.ppf([0.5 + LEVEL / 2, 0.5 - LEVEL / 2], freedom / together)
-    noise = Interval(*(float(np.sqrt(power / number)) for number in (freedom, together * low, together * high)))
-
-    def cost(deviation: float) -> float:  # -2 log of the likelihood, of frames whose times have this deviation [s]
-        variance = noise.value**2 + (size * deviation) ** 2
-        return float((np.log(variance) + along**2 / variance).sum())
-
-    if noise.value <= 0.0:
-        return noise, None
-    best = minimize_scalar(cost, bounds=(0.0, MOST_LATENCY), method="bounded", options={"xatol": _EDGE / 10})
-    seen = cost(0.0) - cost(best.x) > together * chi2.ppf(LEVEL, 1)
-    return noise, float(np.sqrt(12.0) * best.x) if seen else None
 
 
 def _predicted(sight: _Sight, log: Log, late: float, displacement: Array, fitted: int) -> float | None:

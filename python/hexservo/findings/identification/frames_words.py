@@ -21,7 +21,7 @@ def section(found: CameraFit) -> Section:
     rows = [
         ("period", with_interval(None if found.period is None else found.period.times(1e3)), "ms"),
         ("latency", with_interval(None if found.latency is None else found.latency.times(1e3)), "ms"),
-        ("a frame is later by at most", None if found.jitter is None else number(1e3 * found.jitter), "ms"),
+        ("a frame is later by at most", _jitter(found), "ms"),
         ("exposure times are late by", with_interval(found.stamps and found.stamps.times(1e3)), "ms"),
         ("frames that did not arrive", with_interval(found.dropout and found.dropout.times(100)), "%"),
         ("noise of a coordinate", with_interval(found.noise), "px"),
@@ -67,10 +67,13 @@ def _sentences(found: CameraFit) -> list[str]:
             "latency and jitter."
         )
     if found.stamps is None and found.jitter is not None:
-        words.append(
-            "The image is off by more where it moves faster, as of frames that arrive up to "
-            f"{number(1e3 * found.jitter)} ms later than the earliest; the noise is that of an image at rest."
+        as_of = (
+            f"as of frames that arrive up to {number(1e3 * found.jitter)} ms later than the earliest; the noise is "
+            "that of an image at rest."
+            if found.jitter_is_known
+            else "as of a wrong calibration, or of frames that arrive later than others: the log does not tell which."
         )
+        words.append(f"The image is off by more where it moves faster, {as_of}")
     return [*words, *_without_period(found), _of_the_target(found), *doubts(found)]
 
 
@@ -94,9 +97,27 @@ def doubts(found: CameraFit) -> list[str]:
         words.append(
             f"What the fit leaves of the image is correlated over {number(found.correlated)} frames: it is more than "
             "noise, such as a wrong size of the target, focal length, lens or mount, and the noise and its interval "
-            "are too large. The key `camera.noise` is left as it is."
+            f"are too large. {_left(found)}"
+        )
+    elif not found.noise_is_of_camera:
+        words.append(
+            f"The noise of the joints explains {number(100 * found.of_joints)} % of what the fit leaves of the image "
+            f"across its motion, and the rest does not tell the noise of the camera. {_left(found)}"
         )
     return words
+
+
+def _left(found: CameraFit) -> str:
+    """Return which keys are left where what the fit leaves does not tell them."""
+    if found.jitter_is_known:
+        return "The key `camera.noise` is left as it is."
+    return "The keys `camera.noise` and `camera.latency_jitter` are left as they are."
+
+
+def _jitter(found: CameraFit) -> str | None:
+    if not found.jitter_is_known:
+        return "not determined"
+    return None if found.jitter is None else number(1e3 * found.jitter)
 
 
 def _of_repeated(found: CameraFit) -> list[str]:

@@ -71,6 +71,15 @@ class Log:
         """The period as a scenario has it, with nine digits [s]."""
         return float(f"{self.period:.9g}")
 
+    def step_near(self, given: float) -> float:
+        """Return a scenario's step [s] where it is the period as far as the times of the ticks tell, else `step`.
+
+        They tell the period to nine digits at best, and no better than they are even: 1/60 s is no decimal number.
+        """
+        uneven = float(np.abs(self.time - self.period * np.arange(len(self.time))).max())
+        alike = abs(given - self.period) <= 2.0 * uneven / (len(self.time) - 1)
+        return given if alike or float(f"{given:.9g}") == self.step else self.step
+
     def __post_init__(self) -> None:
         """Make arrays of lists, count times from the first tick, and refuse those that do not fit each other.
 

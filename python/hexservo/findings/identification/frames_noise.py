@@ -1,0 +1,139 @@
+"""What scatters an image that is predicted from joints: noise of the camera, noise of the joints, times that jitter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.optimize import minimize_scalar
+from scipy.special import comb
+from scipy.stats import chi2
+
+from hexservo.findings.analysis.poses import Poses
+from hexservo.findings.analysis.scene import Scene
+from hexservo.findings.identification.interval import LEVEL, NORMAL, Interval
+from hexservo.findings.identification.log import Log
+from hexservo.scenario.arrays import Array
+
+_DIFFERENCES = 6  # of readings one after the other: they have little of a motion, and much of white noise
+_REACH = 15  # ticks from which on a reading does not act in a spline, to 1e-8
+_KNOWN_TO = 0.1  # share of the joints' power in the image that is not known
+_MOST_DEVIATION = 0.25  # of frames' times that is searched [s]
+_TIMES_TO = 5e-5  # to which the deviation of frames' times is searched [s]
+
+
+def joint_deviations(log: Log) -> Array:
+    """Return the standard deviation of the white noise of each joint, (6,) [m; rad]."""
+    differences = np.abs(np.diff(log.joints, n=_DIFFERENCES, axis=0))
+    return np.asarray(NORMAL * np.median(differences, axis=0) / np.sqrt(comb(2 * _DIFFERENCES, _DIFFERENCES)))
+
+
+def spline_shares(log: Log, times: Array, derivative: int = 0) -> Array:
+    """Return which share of white noise's variance the cubic spline through its ticks has, (m,) [1].
+
+    It is 1 at a tick and less between two. Of a derivative it is that of [1/s^derivative].
+    """
+    around = np.arange(-_REACH, _REACH + 1)
+    alone = CubicSpline(around, around == 0)
+    phase = (times / log.period) % 1.0
+    weights = alone(phase[:, None] + around[None, 1:-1], derivative) / log.period**derivative
+    return np.asarray((weights**2).sum(axis=1))
+
+
+def overstated(slopes: Array, power: float) -> float:
+    """Return how many times too well least squares takes a shift of times to be known; infinite where it is not.
+
+    The joints' noise changes from tick to tick, and the slope of its spline passes for a motion.
+
+    Parameters
+    ----------
+    slopes
+        (n, f) of residuals, the first by the shift [px/s].
+    power
+        Sum of the squares of what that noise adds to these [px^2/s^2].
+    """
+    by_shift, others = slopes[:, 0], slopes[:, 1:]
+    alone = by_shift - others @ np.linalg.lstsq(others, by_shift)[0]
+    seen = float(alone @ alone)
+    return seen / (seen - power) if seen > power else np.inf
+
+
+def image_of_noise(scene: Scene, poses: Poses, deviations: Array) -> Array:
+    """Return what one standard deviation of each joint moves the image by, (m, 2p, 6) [px].
+
+    Parameters
+    ----------
+    scene
+        Of the machine.
+    poses
+        (m,) of the platform.
+    deviations
+        (6,) of the joints [m; rad].
+    """
+    features, depth = scene.probe.image(poses.position, poses.quaternion)
+    pairs = zip(poses.position, poses.quaternion, strict=True)
+    rates = np.array([scene.hexapod.wrench_map(*pose) for pose in pairs]).swapaxes(1, 2)  # of legs, by twist
+    return np.asarray(scene.jacobian(features, depth, poses) @ np.linalg.inv(rates) * deviations)
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """What scatters the image of a fit."""
+
+    noise: Interval  # standard deviation of a coordinate, by the camera [px]
+    jitter: float | None  # how much later some frames are than others [s]; None where none is seen
+    of_joints: float  # share of what is left across the motion that the noise of the joints explains
+
+
+def scatter_of(left: Array, speed: Array, by_joints: Array, together: float) -> Scatter:
+    """Return the noise of the camera, and how much later some frames are than others.
+
+    A frame that is late by d differs by d times the speed of the image, and so along it only: what is at right angles
+    is noise, of the camera and of the joints, whose part is known. Along it the variance is that of both and speed^2
+    times that of d, the most likely of which counts if its likelihood ratio to 0 is significant. The width of a uniform
+    distribution is sqrt(12) standard deviations.
+
+    Parameters
+    ----------
+    left
+        (m, 2p) residuals [px].
+    speed
+        (m, 2p) of the image [px/s].
+    by_joints
+        (m, 2p, 6) what one standard deviation of each joint's noise moves the image by [px].
+    together
+        Over how many frames residuals are correlated.
+    """
+    size = np.linalg.norm(speed, axis=1)
+    direction = speed / np.where(size > 0.0, size, 1.0)[:, None]
+    along = np.einsum("ij,ij->i", left, direction)
+    joints_along = np.einsum("ijk,ij->ik", by_joints, direction)
+    joints_across = by_joints - direction[:, :, None] * joints_along[:, None, :]
+    power, of_joints = float((left**2).sum() - along @ along), float((joints_across**2).sum())
+    count, across = len(left), left.shape[1] - 1
+    freedom = count * across - 6  # of the target's displacement
+    variance = max(power - of_joints, 0.0) / freedom
+    # As many residuals of one variance scatter their sum alike: those of the joints are few, and not of one variance.
+    covariance = variance * np.eye(across + 1) + joints_across @ joints_across.swapaxes(1, 2)
+    covariance -= variance * direction[:, :, None] * direction[:, None, :]
+    squared = float((covariance**2).sum())
+    alike = freedom if squared == 0.0 else float(np.trace(covariance, axis1=1, axis2=2).sum()) ** 2 / squared
+    alike = min(alike, freedom) / together
+    ends = [power * alike / number for number in chi2.ppf([0.5 + LEVEL / 2, 0.5 - LEVEL / 2], alike)]
+    low, high = (
+        max(end - way * of_joints, 0.0) / freedom for end, way in zip(ends, (1 + _KNOWN_TO, 1 - _KNOWN_TO), strict=True)
+    )
+    noise = Interval(*(float(np.sqrt(value)) for value in (variance, low, high)))
+    share = min(of_joints / power, 1.0) if power > 0.0 else 0.0
+    if variance <= 0.0:
+        return Scatter(noise, None, share)
+    at_rest = variance + (joints_along**2).sum(axis=1)
+
+    def cost(deviation: float) -> float:  # -2 log of the likelihood, of frames whose times have this deviation [s]
+        spread = at_rest + (size * deviation) ** 2
+        return float((np.log(spread) + along**2 / spread).sum())
+
+    best = minimize_scalar(cost, bounds=(0.0, _MOST_DEVIATION), method="bounded", options={"xatol": _TIMES_TO})
+    seen = cost(0.0) - cost(best.x) > together * chi2.ppf(LEVEL, 1)
+    return Scatter(noise, float(np.sqrt(12.0) * best.x) if seen else None, share)
