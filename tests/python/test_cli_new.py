@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -23,7 +24,10 @@ from hexservo import _core
 from hexservo.cli import commands as cli
 from hexservo.cli import machine
 from hexservo.cli.dialogue import Dialogue
+from hexservo.findings.check import unlikely
 from hexservo.scenario.parameters import core_parameters
+from hexservo.scenario.yaml import load_yaml, read_yaml
+from test_docs import ROOT
 
 QUESTIONS = 29  # with joints on circles, a camera matrix in numbers, a tag, and drives that take forces
 
@@ -141,6 +145,20 @@ def test_a_machine_that_takes_positions_settles_by_its_defaults(tmp_path: Path, 
     result = hs.simulate(scenario)
     assert result.outcome == "completed"
     assert hs.metrics(result)["settling_time"] < 3.0
+
+
+def test_a_file_for_forces_becomes_one_for_positions_as_the_page_has_it(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    assert answered(file, answers()).exit_code == 0
+    page = (ROOT / "docs" / "position-machines.md").read_text(encoding="utf-8")
+    written = re.search(r"```yaml\n# mine.yaml\n(.*?)```", page, re.DOTALL)
+    assert written
+    document: Any = {**cast("dict[str, Any]", read_yaml(file)), **cast("dict[str, Any]", load_yaml(written[1]))}
+    document["camera"] |= {"prediction": "none", "period": 0.04, "latency": 0.04}
+    document["simulation"] |= {"step": 0.02, "duration": 10.0}
+    scenario = hs.Scenario.from_mapping(document)
+    assert unlikely(scenario) == []
+    assert hs.metrics(hs.simulate(scenario))["settling_time"] < 3.0
 
 
 def test_times_of_a_machine_that_takes_positions_are_whole_commands(tmp_path: Path) -> None:
