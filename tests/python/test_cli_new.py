@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -23,9 +24,12 @@ from hexservo import _core
 from hexservo.cli import commands as cli
 from hexservo.cli import machine
 from hexservo.cli.dialogue import Dialogue
+from hexservo.findings.check import unlikely
 from hexservo.scenario.parameters import core_parameters
+from hexservo.scenario.yaml import load_yaml, read_yaml
+from test_docs import ROOT
 
-QUESTIONS = 27  # with joints on circles, a camera matrix in numbers, and a tag
+QUESTIONS = 29  # with joints on circles, a camera matrix in numbers, a tag, and drives that take forces
 
 
 def answered(file: Path, answers: list[str], *options: str) -> Result:
@@ -98,7 +102,7 @@ RATES, BANDWIDTHS = ("10", "24", "29.97", "30", "59.94", "100", "144", "333"), (
 )
 def test_every_rate_and_bandwidth_make_a_grid_of_times(tmp_path: Path, rate: str, bandwidth: str) -> None:
     """Servo period, frame period, latency and duration are whole numbers of each other, to rounding."""
-    done = answered(tmp_path / "mine.yaml", answers(p20=rate, p26=bandwidth))
+    done = answered(tmp_path / "mine.yaml", answers(p20=rate, p28=bandwidth))
     assert done.exit_code == 0, done.output
 
 
@@ -107,12 +111,79 @@ def test_every_rate_and_bandwidth_make_a_grid_of_times(tmp_path: Path, rate: str
 )
 def test_a_run_is_longer_than_the_times_that_it_is_measured_by(tmp_path: Path, rate: str, bandwidth: str) -> None:
     file = tmp_path / "mine.yaml"
-    done = answered(file, answers(p20=rate, p26=bandwidth))
+    done = answered(file, answers(p20=rate, p28=bandwidth))
     assert done.exit_code == 0, done.output
     assert "simulation.duration" not in done.output  # of a warning
     scenario = hs.load_scenario(file)
     times = (scenario.metrics.dwell, scenario.metrics.rms_start, 1 / float(rate), 5 / float(bandwidth))
     np.testing.assert_allclose(scenario.simulation.duration, 2 * max(times), rtol=1e-12)
+
+
+def test_the_servo_period_is_one_that_check_does_not_warn_of(tmp_path: Path) -> None:
+    """A load beside the middle couples the axes, so that a pole is faster than those of the bandwidth."""
+    fast = answers(p20="200", p28="2")
+    done = answered(tmp_path / "mine.yaml", [*fast[:12], "80", "40 0 -40", "0.2 0.2 0.15", "yes", "900", *fast[14:]])
+    assert done.exit_code == 0, done.output
+    assert "simulation.step" not in done.stderr
+
+
+def test_the_latency_is_the_answer_in_servo_periods(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    assert answered(file, answers(p26="61")).exit_code == 0
+    scenario = hs.load_scenario(file)
+    assert scenario.camera.latency == pytest.approx(0.061, abs=0.5 * scenario.simulation.step)
+    assert scenario.camera.latency > 1.5 / 30  # of a frame period
+
+
+def positions(*given: str, legs: str = "prismatic", **changed: str) -> list[str]:
+    """Answers for drives that take positions: commands a second, delay, bandwidth and speed limit as they are given."""
+    others = answers(p0=legs, p27="positions", **changed)
+    rotary = ["", "", ""] if legs == "rotary" else []  # length, axes, rod
+    return [*others[:8], *rotary, *others[8:28], *given, *[""] * (4 - len(given)), others[28]]
+
+
+@pytest.mark.parametrize("legs", ["prismatic", "rotary"])
+def test_a_machine_that_takes_positions_settles_by_its_defaults(tmp_path: Path, legs: str) -> None:
+    file = tmp_path / "mine.yaml"
+    done = answered(file, positions(legs=legs))
+    assert done.exit_code == 0, done.output
+    assert "Warning" not in done.output
+    scenario = hs.load_scenario(file)
+    assert (scenario.controller.law, scenario.actuators.kind) == ("tracking", "position")
+    assert scenario.actuators.position.speed_limit == pytest.approx(0.02 if legs == "prismatic" else np.deg2rad(300))
+    result = hs.simulate(scenario)
+    assert result.outcome == "completed"
+    assert hs.metrics(result)["settling_time"] < 3.0
+
+
+def test_a_file_for_forces_becomes_one_for_positions_as_the_page_has_it(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    assert answered(file, answers()).exit_code == 0
+    page = (ROOT / "docs" / "position-machines.md").read_text(encoding="utf-8")
+    written = re.search(r"```yaml\n# mine.yaml\n(.*?)```", page, re.DOTALL)
+    assert written
+    document: Any = {**cast("dict[str, Any]", read_yaml(file)), **cast("dict[str, Any]", load_yaml(written[1]))}
+    document["camera"] |= {"prediction": "none", "period": 0.04, "latency": 0.04}
+    document["simulation"] |= {"step": 0.02, "duration": 10.0}
+    scenario = hs.Scenario.from_mapping(document)
+    assert unlikely(scenario) == []
+    assert hs.metrics(hs.simulate(scenario))["settling_time"] < 3.0
+
+
+def test_times_of_a_machine_that_takes_positions_are_whole_commands(tmp_path: Path) -> None:
+    """The commands have the rate that was answered; the camera's times are rounded to them."""
+    file = tmp_path / "mine.yaml"
+    done = answered(file, positions("50", "45", "4", "0", p20="30", p21="0.6", p26="61", p28="1.5"))
+    assert done.exit_code == 0, done.output
+    scenario = hs.load_scenario(file)
+    assert scenario.simulation.step == 0.02
+    assert scenario.camera.period == pytest.approx(0.04)
+    assert scenario.camera.latency == pytest.approx(0.06)
+    assert scenario.actuators.delay == pytest.approx(0.04)
+    response = scenario.actuators.position
+    assert (response.bandwidth, response.damping, response.speed_limit) == (4.0, 1.0, None)
+    gains = scenario.controller.tracking
+    assert (gains.bandwidth, gains.noise, scenario.camera.prediction) == (1.5, 0.6, "none")
 
 
 @pytest.mark.parametrize("rate", [24.0, 29.97, 30.0, 60.0, 120.0, 180.0, 333.0])
@@ -183,7 +254,7 @@ def test_numbers_of_a_sheet_become_si_units(tmp_path: Path) -> None:
 def test_a_load_and_a_camera_beside_the_middle(tmp_path: Path) -> None:
     file = tmp_path / "loaded.yaml"
     given = answers(p8="-10 20", p10="0 0 -10", p12="12")
-    done = answered(file, [*given[:13], "0 0 -80", "0.1 0.1 0.05", "no", "300", "30 0 -20", *[""] * 12])
+    done = answered(file, [*given[:13], "0 0 -80", "0.1 0.1 0.05", "no", "300", "30 0 -20", *[""] * 14])
     assert done.exit_code == 0, done.output
     scenario = hs.load_scenario(file)
     robot = scenario.robot
@@ -334,7 +405,9 @@ def test_cranks_one_by_one(tmp_path: Path) -> None:
         (answers(p20="1e6"), 'Frames per second [1/s]: expected a number from 0.1 to 10000, got "1e6"'),
         (answers(p23="1e9"), 'at home [mm]: expected a number from 1 to 100000, got "1e9"'),
         (answers(p25="0 0 0 0 0 400"), 'turn about x y z [deg]: expected turns within +-360, got "0 0 0 0 0 400"'),
-        (answers(p26="1e-6"), 'Bandwidth of the loop [Hz]: expected a number from 0.05 to 500, got "1e-6"'),
+        (answers(p27="torques"), 'expected forces or positions, got "torques"'),
+        (positions("50", "200"), 'acts on it [ms]: expected a number from 0 to 160, got "200"'),
+        (answers(p28="1e-6"), 'Bandwidth of the loop [Hz]: expected a number from 0.05 to 500, got "1e-6"'),
         (answers(p2="nan"), 'expected a number, got "nan"'),
         (answers(p6="1 2"), 'expected 3 numbers with blanks between, got "1 2"'),
         (answers(p8="1 15"), 'expected a number <= 0, then one >= 0, got "1 15"'),
@@ -371,7 +444,7 @@ def test_legs_that_do_not_hold_are_refused_before_the_mass_is_asked_for(tmp_path
 @pytest.mark.parametrize("rate", ["0.1", "10000"])
 @pytest.mark.parametrize("bandwidth", ["0.05", "500"])
 def test_the_bounds_of_rate_and_bandwidth_fit_each_other(tmp_path: Path, rate: str, bandwidth: str) -> None:
-    done = answered(tmp_path / "mine.yaml", answers(p20=rate, p26=bandwidth))
+    done = answered(tmp_path / "mine.yaml", answers(p20=rate, p28=bandwidth))
     assert done.exit_code == 0, done.output
 
 
@@ -396,8 +469,8 @@ def test_answers_that_do_not_fit_one_another_are_offered_once_more(tmp_path: Pat
     """Three points on a line show only after the last question."""
     file = tmp_path / "mine.yaml"
     line = ["-50 0 -660", "0 0 -660", "50 0 -660"]
-    given = [*answers(p4="160", p9="6", p22="points")[:24], "3", *line, "", "2"]
-    second = [*[""] * 26, "0 40 -660", *[""] * 3]
+    given = [*answers(p4="160", p9="6", p22="points")[:24], "3", *line, *[""] * 3, "2"]
+    second = [*[""] * 26, "0 40 -660", *[""] * 5]
     done = answered(file, [*given, *second])
     assert done.exit_code == 0, done.output
     assert "Again: target.points: expected features that determine the pose" in done.stderr

@@ -53,6 +53,19 @@ def test_the_time_to_settle_is_that_of_a_run(paper: hs.Scenario, law: str) -> No
     assert settling_ratio(Scene(coupled)) == pytest.approx(found, rel=0.03)
 
 
+def test_a_narrow_band_of_the_scenario_shows_what_5_percent_hide(paper: hs.Scenario) -> None:
+    """Of the start's 27 px, 5 % are 1.4 px: the swing that is left ends within, and is outside 0.5 px."""
+    narrow = {"metrics.band": 0.5}
+    centred, coupled = (
+        carrying(paper, "composite", place).updated(narrow) for place in ([0.0, 0.0, 0.0], [0.03, 0.0, 0.0])
+    )
+    found = [hs.metrics(hs.simulate(scenario))["settling_time"] for scenario in (coupled, centred)]
+    assert settling_ratio(Scene(coupled)) == pytest.approx(found[0] / found[1], rel=0.05)
+    assert any("couples the axes" in sentence for sentence in unlikely(coupled))
+    wide = coupled.updated({"metrics.band": 0.05 * 27.2})
+    assert not any("couples the axes" in sentence for sentence in unlikely(wide))
+
+
 @pytest.mark.parametrize("law", ["hybrid", "composite", "kelly", "resolved_rate", "pbvs", "computed_torque"])
 def test_coupled_axes_are_warned_of_where_the_law_leaves_them_coupled(paper: hs.Scenario, law: str) -> None:
     words = f"controller.{law}.auto.bandwidth: 2 Hz is fitted axis by axis, but the inertia couples the axes"

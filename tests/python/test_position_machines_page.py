@@ -63,4 +63,4 @@ def test_numbers_are_compared_with_a_tolerance() -> None:
     assert alike("camera.latency 0.2 0.033", "  camera.latency   0.201  0.033  ")
     assert not alike("camera.latency 0.2 0.033", "camera.latency 0.3 0.033")
     assert not alike("settling time 1.5 s", "settled time 1.5 s")
-    assert len(blocks()) == 16
+    assert len(blocks()) == 17

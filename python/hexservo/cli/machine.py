@@ -13,10 +13,9 @@ import typer
 
 import hexservo as hs
 from hexservo.cli.dialogue import Check, Dialogue, one_number
+from hexservo.cli.loop import ask_loop
 from hexservo.cli.parts import require_hold, shows_middle
 from hexservo.cli.terminal import complain, errors_as_messages, interrupted, write
-from hexservo.scenario.blocks import Metrics
-from hexservo.scenario.laws import GENERAL_LAW
 from hexservo.scenario.rules import LEAST_POINTS, MOST_POINTS, Name
 
 if TYPE_CHECKING:
@@ -26,10 +25,6 @@ if TYPE_CHECKING:
 
 _TITLE = "# Made by `hexservo new --machine`."
 _DEGREE = math.pi / 180.0
-_TICKS = 150  # servo periods in one of the bandwidth, at least: more than `hexservo check` asks for
-_PERIODS = 10  # of the bandwidth in a run, at least
-_ROOM = 2  # times the longest of the metrics' times and the frame period that a run lasts, at least
-_ROUNDING = 1e-9  # relative, by which a number may be above the whole number that it stands for
 _TURN = 360.0  # [deg], magnitude of an angle
 _APART = (0.001, 119.999)  # [deg], of two joints in a pair: at 120 they would meet those of the next ones
 _LENGTH = 0.1  # [mm], at least
@@ -38,7 +33,6 @@ _EFFORTS = (1e-9, 1e9)  # [N] or [N m]
 _INERTIA = 1e10  # [kg m^2], at most
 _POINT = 1e6  # [mm], magnitude of a coordinate of a point: as far as home, camera and distance together, and more
 _RATES = (0.1, 1e4)  # [1/s], of the camera
-_BANDWIDTHS = (0.05, 500.0)  # [Hz]: with any rate, a run's times and its log are ones that a scenario may have
 _PRODUCTS = ([0, 0, 1], [1, 2, 2])  # places of xy, xz, yz in an inertia
 
 
@@ -103,34 +97,19 @@ def _scenario_text(dialogue: Dialogue, name: str) -> str:
 
     dialogue.say("Lengths in mm, angles in degrees. z of the base frame points down: above the base it is negative.")
     robot = _robot(dialogue)
-    camera, looks = _camera(dialogue)
+    camera, period, looks = _camera(dialogue)
     home = Rotation.from_rotvec(robot.get("home_attitude", [0.0] * 3))
     place = np.add(robot["home_position"], home.apply(camera["mount"]["position"]))
     focal = float(np.max(camera["focal_pixels"]))
     target = _target(dialogue, place, home * looks, camera["image_size"], focal)
-    bandwidth = dialogue.number("Bandwidth of the loop [Hz]", 1.0, *_BANDWIDTHS)
-    period = camera["period"]
-    parts = max(1, math.ceil(period * _TICKS * bandwidth * (1.0 - _ROUNDING)))
-    step = period / parts  # not rounded: times are whole numbers of it
-    dialogue.say(f"The servo period is {1e3 * step:.4g} ms, {f'1/{parts} of' if parts > 1 else ''} the frame period.")
-    metrics = Metrics()
-    duration = max(_PERIODS / bandwidth, _ROOM * max(metrics.dwell, metrics.rms_start, period))
-    frames = math.ceil(duration / period * (1.0 - _ROUNDING))
-    document: dict[str, Any] = {
+    machine = {
         "name": name,
         "description": "A machine from its data sheet",
         "robot": robot,
         "camera": camera,
         "target": target,
-        "controller": {
-            "law": GENERAL_LAW,
-            "switching": {"kind": "implicit_coupled"},  # whatever the inertia couples
-            GENERAL_LAW: {"auto": {"bandwidth": bandwidth}},
-        },
-        "sensors": {"pose": "encoders", "resolution": 1e-4 if "cranks" in robot else 1e-6},
-        "simulation": {"mode": "sampled", "step": step, "duration": frames * period},
     }
-    scenario = hs.Scenario.from_mapping(document)  # all that one answer alone does not tell
+    document, scenario = ask_loop(dialogue, period, rotary="cranks" in robot).scenario(dialogue, machine)
     _explain(dialogue, scenario)
     return (
         f"{_TITLE}\n# Keys that are not here have their defaults, which `hexservo show` lists.\n{dump_yaml(document)}"
@@ -320,8 +299,11 @@ def _of_body(values: list[float], least: float = 1e-300) -> str | None:
     return None if c <= (a + b) * (1 + 1e-9) else "expected none larger than the sum of the other two"
 
 
-def _camera(dialogue: Dialogue) -> tuple[dict[str, Any], Rotation]:
-    """Return the camera, and the attitude in the platform frame of one that looks along its -z with y up."""
+def _camera(dialogue: Dialogue) -> tuple[dict[str, Any], float, Rotation]:
+    """Return the camera, without its times, and its frame period [s].
+
+    The third value is the attitude in the platform frame of a camera that looks along its -z with y up.
+    """
     from scipy.spatial.transform import Rotation
 
     dialogue.say("Without a rotation the camera looks along -z of the platform frame: up, from a level platform.")
@@ -332,9 +314,9 @@ def _camera(dialogue: Dialogue) -> tuple[dict[str, Any], Rotation]:
     camera["mount"] = {"position": place, **({"rotation": _vector(looks)} if any(turn) else {})}
     rate = dialogue.number("Frames per second [1/s]", 30.0, *_RATES)
     period = 1.0 / rate  # not rounded: the rate is the one that was asked for
-    dialogue.say(f"The frame period is {1e3 * period:.4g} ms, and an image is used as long after its exposure.")
+    dialogue.say(f"The frame period is {1e3 * period:.4g} ms.")
     noise = dialogue.number("Noise of a detected point, standard deviation [px]", 0.2, 1e-3, 1e3, zero=True)
-    return {**camera, "period": period, "latency": period, "noise": noise, "prediction": "encoder"}, looks
+    return {**camera, "noise": noise}, period, looks
 
 
 def _intrinsics(dialogue: Dialogue) -> dict[str, Any]:

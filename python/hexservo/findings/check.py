@@ -19,8 +19,8 @@ from hexservo.findings.check_gains import of_gains
 from hexservo.findings.check_gate import of_gate, predicts
 from hexservo.findings.check_machine import of_machine
 from hexservo.findings.check_motion import of_motion
+from hexservo.findings.check_period import of_period
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.blocks import Robot, preset_values
 from hexservo.scenario.fitted import auto_of, chosen_keys, fitted_keys, gains_written, idle_gains
 from hexservo.scenario.keys import default_of, keys_below, value_at
@@ -35,7 +35,6 @@ from hexservo.scenario.wording import number, quantity
 
 _FEWEST = 3  # points that a law can regulate
 _OFF_CENTRE = 0.15  # of the image, most that the principal point of a usual lens is off its centre
-_TICKS = 10  # servo periods per shortest time constant of the loop for which the hold has little effect
 
 _T = TypeVar("_T")
 
@@ -82,7 +81,7 @@ def _of_rates(scene: Scene) -> Iterator[str]:
         return
     except (NoRestError, NotApplicableError):  # no law can be evaluated at home
         pass
-    yield from _of_period(scene.scenario, fastest)
+    yield from of_period(scene.scenario, fastest)
     yield from of_gains(scene, fastest)
 
 
@@ -233,19 +232,6 @@ def _of_unknown_latency(scenario: Scenario) -> Iterator[str]:
         yield (
             f"camera.latency_known: false with a frame every {quantity(period, 's')}: the latency is never found, "
             f"since frames more than {quantity(_core.LONGEST_FRAME_GAP, 's')} apart are not compared"
-        )
-
-
-def _of_period(scenario: Scenario, rate: float | None) -> Iterator[str]:
-    if scenario.simulation.mode != SAMPLED_MODE or rate is None:
-        return
-    if scenario.controller.law not in LAWS:  # the others' reference is exact at any period
-        return
-    period, shortest = scenario.simulation.step, float(f"{1.0 / rate:.2g}") if rate > 0 else np.inf
-    if _TICKS * period > shortest * (1.0 + 1e-9):
-        yield (
-            f"simulation.step: a servo period of {quantity(period, 's')} is coarser than a tenth of the gains' "
-            f"shortest time constant, {quantity(shortest, 's')}"
         )
 
 

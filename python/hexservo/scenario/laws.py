@@ -30,6 +30,7 @@ SMOOTH_KINDS: tuple[SwitchingKind, ...] = ("tanh", "saturation")  # of the switc
 # of any machine; the others give where legs shall go, and so need a machine that takes positions
 LAWS: tuple[str, ...] = tuple(law for law, traits in _core.LAW_TRAITS.items() if traits.output != "pose")
 GENERAL_LAW = "composite"  # what a new machine begins with: it integrates, and its prior bounds the drift
+POSE_LAW = next(law for law, traits in _core.LAW_TRAITS.items() if traits.output == "pose")  # for positions
 THEOREM_LAW = next(law for law, traits in _core.LAW_TRAITS.items() if traits.theorem)  # the paper's
 SixNotNegative: TypeAlias = Annotated[float | Vector, ArrayRule((6,), NOT_NEGATIVE, or_number=True)]
 SixPositive: TypeAlias = Annotated[float | Vector, ArrayRule((6,), POSITIVE, or_number=True)]

@@ -1,0 +1,174 @@
+"""Questions of ``hexservo new`` about the loop: how late an image is, what the drives take, how fast it shall be."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import hexservo as hs
+from hexservo.cli.dialogue import Dialogue
+from hexservo.scenario.blocks import Metrics
+from hexservo.scenario.laws import GENERAL_LAW, POSE_LAW
+
+_TICKS = 150  # servo periods in one of the bandwidth, at least
+_PERIODS = 10  # of the bandwidth in a run, at least
+_ROOM = 2  # times the longest of the metrics' times, the frame period and the latency that a run lasts, at least
+_ROUNDING = 1e-9  # relative, by which a number may be above the whole number that it stands for
+_BANDWIDTHS = (0.05, 500.0)  # [Hz]: with any rate, a run's times and its log are ones that a scenario may have
+_LATEST = 1e4  # [ms], latency of an image, at most
+_COMMANDS = (1.0, 1e4)  # [1/s], to a drive
+_MOST_DELAY = 8  # servo periods, of `actuators.delay`
+_RESPONSES = (0.01, 1e4)  # [Hz], of a drive
+_SPEED = 1e-6  # [deg/s] or [mm/s], of a drive, at least
+_LEAST_NOISE = 0.1  # [px], assumed by the law: encoders and lens leave as much where the image has none
+
+
+@dataclass(frozen=True)
+class Loop:
+    """The answers about the loop of a machine whose drives take forces."""
+
+    frame: float  # [s], between two exposures
+    latency: float  # [s], from an exposure until the image is used
+    bandwidth: float  # [Hz]
+
+    def scenario(self, dialogue: Dialogue, machine: dict[str, Any]) -> tuple[dict[str, Any], hs.Scenario]:
+        """Return the whole document, and its scenario, for robot, camera and target.
+
+        The servo period divides that of the frames, and is one of which `hexservo check` does not warn.
+
+        Raises
+        ------
+        ScenarioError
+            For what one answer alone does not tell.
+        """
+        parts = self._parts(1.0 / (_TICKS * self.bandwidth))
+        document = self._document(machine, parts)
+        scenario = hs.Scenario.from_mapping(document)
+        finer = self._parts(_coarsest_period(scenario))
+        if finer > parts:
+            parts = finer
+            document = self._document(machine, parts)
+            scenario = hs.Scenario.from_mapping(document)
+        step = 1e3 * scenario.simulation.step
+        dialogue.say(f"The servo period is {step:.4g} ms, {f'1/{parts} of' if parts > 1 else ''} the frame period.")
+        return document, scenario
+
+    def _parts(self, longest: float) -> int:
+        """Return the servo periods of a frame, none longer than `longest` [s]."""
+        return max(1, math.ceil(self.frame / longest * (1.0 - _ROUNDING)))
+
+    def _document(self, machine: dict[str, Any], parts: int) -> dict[str, Any]:
+        ticks = round(self.latency / self.frame * parts)
+        return _document(
+            machine,
+            {"period": self.frame, "latency": self.frame * ticks / parts, "prediction": "encoder"},
+            {
+                "law": GENERAL_LAW,
+                "switching": {"kind": "implicit_coupled"},  # whatever the inertia couples
+                GENERAL_LAW: {"auto": {"bandwidth": self.bandwidth}},
+            },
+            self.frame / parts,  # not rounded: times are whole numbers of it
+            self.bandwidth,
+        )
+
+
+@dataclass(frozen=True)
+class PositionLoop:
+    """The answers about the loop of a machine whose drives take positions at even times."""
+
+    frame: float  # [s], between two exposures
+    latency: float  # [s], from an exposure until the image is used
+    bandwidth: float  # [Hz], of the motion to the target
+    period: float  # [s], between two commands
+    delay: float  # [s], from a command until the drive acts on it
+    response: dict[str, float]  # the keys of `actuators.position`
+
+    def scenario(self, dialogue: Dialogue, machine: dict[str, Any]) -> tuple[dict[str, Any], hs.Scenario]:
+        """Return the whole document, and its scenario, for robot, camera and target.
+
+        The servo period is that of the commands, and the other times are whole numbers of it.
+
+        Raises
+        ------
+        ScenarioError
+            For what one answer alone does not tell.
+        """
+        frame = max(self._rounded(self.frame), self.period)
+        latency, delay = self._rounded(self.latency), self._rounded(self.delay)
+        times = {"period": frame, "latency": latency, "prediction": "none"}
+        law = {
+            "auto": {"bandwidth": self.bandwidth},
+            "noise": max(machine["camera"]["noise"], _LEAST_NOISE),
+        }
+        document = {
+            **_document(machine, times, {"law": POSE_LAW, POSE_LAW: law}, self.period, self.bandwidth),
+            "actuators": {"kind": "position", "delay": delay, "position": self.response},
+        }
+        scenario = hs.Scenario.from_mapping(document)
+        dialogue.say(
+            f"Times are whole numbers of the {1e3 * self.period:.4g} ms between two commands: a frame every "
+            f"{1e3 * frame:.4g} ms, used {1e3 * latency:.4g} ms after its exposure, and a delay of "
+            f"{1e3 * delay:.4g} ms. `hexservo identify` finds them from a log."
+        )
+        return document, scenario
+
+    def _rounded(self, time: float) -> float:
+        """Return the whole number of commands' periods that is nearest to a time [s]."""
+        return round(time / self.period) * self.period
+
+
+def ask_loop(dialogue: Dialogue, frame: float, *, rotary: bool) -> Loop | PositionLoop:
+    """Return what was answered about the loop of a camera with a `frame` period [s]."""
+    latency = 1e-3 * dialogue.number(
+        "Latency, from the exposure of an image until it is used [ms]", 1e3 * frame, 0.0, _LATEST
+    )
+    if dialogue.choice("Commands that the drives take", ("forces", "positions")) == "forces":
+        return Loop(frame, latency, _bandwidth(dialogue))
+    period = 1.0 / dialogue.number("Commands a second [1/s]", 50.0, *_COMMANDS)
+    delay = 1e-3 * dialogue.number(
+        "Delay, from a command until a drive acts on it [ms]", 1e3 * period, 0.0, 1e3 * _MOST_DELAY * period
+    )
+    response = {"bandwidth": dialogue.number("Bandwidth of a drive, 0.53 over its rise time [Hz]", 10.0, *_RESPONSES)}
+    unit, most, scale = ("deg/s", 300.0, math.pi / 180.0) if rotary else ("mm/s", 20.0, 1e-3)
+    speed = dialogue.number(f"Largest speed of a drive, 0: no limit [{unit}]", most, _SPEED, zero=True)
+    if speed > 0.0:
+        response["speed_limit"] = float(f"{scale * speed:.9g}")
+    return PositionLoop(frame, latency, _bandwidth(dialogue), period, delay, response)
+
+
+def _bandwidth(dialogue: Dialogue) -> float:
+    return dialogue.number("Bandwidth of the loop [Hz]", 1.0, *_BANDWIDTHS)
+
+
+def _document(
+    machine: dict[str, Any], times: dict[str, Any], controller: dict[str, Any], step: float, bandwidth: float
+) -> dict[str, Any]:
+    """Return the document of a machine with its camera's times, for a run that is long enough to show its end."""
+    metrics, frame = Metrics(), times["period"]
+    duration = max(_PERIODS / bandwidth, _ROOM * max(metrics.dwell, metrics.rms_start, frame, times["latency"]))
+    return {
+        **machine,
+        "camera": {**machine["camera"], **times},
+        "controller": controller,
+        "sensors": {"pose": "encoders", "resolution": 1e-4 if "cranks" in machine["robot"] else 1e-6},
+        "simulation": {
+            "mode": "sampled",
+            "step": step,
+            "duration": frame * math.ceil(duration / frame * (1.0 - _ROUNDING)),
+        },
+    }
+
+
+def _coarsest_period(scenario: hs.Scenario) -> float:
+    """Return the longest servo period [s] of which `hexservo check` does not warn; infinite where none is known."""
+    from hexservo.findings.analysis.linear_law import NoRestError
+    from hexservo.findings.analysis.loop_of_scenario import NotApplicableError
+    from hexservo.findings.analysis.scene import scene_of
+    from hexservo.findings.check import fastest_rate
+    from hexservo.findings.check_period import coarsest_period
+
+    try:
+        return coarsest_period(fastest_rate(scene_of(scenario)))
+    except (NoRestError, NotApplicableError):  # `hexservo check` gives the reason
+        return math.inf

@@ -1,0 +1,43 @@
+"""The servo period that the poles of a loop allow."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from hexservo.scenario.block import SAMPLED_MODE
+from hexservo.scenario.laws import LAWS
+from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.wording import quantity
+
+_TICKS = 10  # servo periods per shortest time constant of the loop for which the hold has little effect
+_ROUNDING = 1.0 + 1e-9
+
+
+def coarsest_period(rate: float) -> float:
+    """Return the longest servo period [s] of which `of_period` does not warn, for a fastest pole of `rate` [1/s]."""
+    return _shortest_time(rate) / _TICKS
+
+
+def of_period(scenario: Scenario, rate: float | None) -> Iterator[str]:
+    """Yield a sentence for a servo period that is coarser than the loop's poles allow.
+
+    Parameters
+    ----------
+    scenario
+        Of a law whose loop is through the image; the reference of the others is exact at any period.
+    rate
+        Largest magnitude of the poles [1/s]; None where no law can be evaluated at home.
+    """
+    if scenario.simulation.mode != SAMPLED_MODE or rate is None or scenario.controller.law not in LAWS:
+        return
+    period = scenario.simulation.step
+    if period > coarsest_period(rate) * _ROUNDING:
+        yield (
+            f"simulation.step: a servo period of {quantity(period, 's')} is coarser than a tenth of the gains' "
+            f"shortest time constant, {quantity(_shortest_time(rate), 's')}"
+        )
+
+
+def _shortest_time(rate: float) -> float:
+    """Return 1/rate [s] in the digits of the sentence; infinite for a loop without motion."""
+    return float(f"{1.0 / rate:.2g}") if rate > 0.0 else float("inf")
