@@ -24,7 +24,7 @@ import hexservo as hs
 from hexservo import _core
 from hexservo.cli.commands import app
 from hexservo.report import explorer
-from hexservo.report.explorer import TITLE, ExplorerError, built_for, checked_page, explorer_page
+from hexservo.report.explorer import TITLE, ExplorerError, built_for, checked_page, explorer_page, preset_values
 from hexservo.run.files import write_file
 from hexservo.run.leg_limits import leg_limits
 from hexservo.run.metrics import METRICS
@@ -1463,6 +1463,19 @@ def test_the_page_has_every_law_and_the_gains_of_no_other() -> None:
         others = tuple(f"controller.{other}." for other in known["laws"] if other != law)
         keys = {key["key"] for key in known["keys"] if not key["key"].startswith(others)}
         assert keys == {key.name for key in _core.scenario_keys(law)}, law
+
+
+def test_a_scenario_of_a_file_has_the_gains_of_every_law() -> None:
+    """Five points: the defaults of other laws are for four, and the core refuses them."""
+    scenario = hs.load_scenario("reachy-mini").updated({"name": "mine"})
+    values = preset_values(scenario)
+    assert core_values(scenario).items() <= values.items()
+    for law in set(_core.LAW_TRAITS) - {scenario.controller.law, "tracking"}:  # a law that this scenario cannot have
+        expected = core_values(scenario.updated({"controller.law": law}))
+        gains = {key: value for key, value in expected.items() if key.startswith(f"controller.{law}.")}
+        assert gains.items() <= values.items(), law
+    assert len(values["controller.kelly.kp"]) == 10
+    assert not any(key.startswith("controller.tracking.") for key in values)
 
 
 @pytest.fixture
