@@ -6,7 +6,7 @@ import { short, withUnit } from "./format.js";
 import { ImageView } from "./image.js";
 import { bounds, middles, passedLimits, unitOfMetric } from "./limits.js";
 import { ParameterMap } from "./map.js";
-import { changed, drawn, full, groups, laws, metrics, presetOf, presets, readAddress, start, textOf, toAddress, toYaml, valueOf, version } from "./model.js";
+import { actingChanges, changed, drawn, full, groups, laws, metrics, presetOf, presets, readAddress, start, textOf, toAddress, toYaml, valueOf, version } from "./model.js";
 import { endsAt, targetAt } from "./machine.js";
 import { MachineView } from "./scene.js";
 import { write } from "./view.js";
@@ -91,9 +91,10 @@ function refresh() {
   controls.show(state);
   keyList.show(state);
   if (document.body.dataset.map) map.show(state); // at once, also where the core will refuse the state
-  const count = Object.keys(state.changes).length;
+  const [all, acting] = [Object.keys(state.changes).length, actingChanges(state).length];
+  const count = acting || all;
   $("reset").disabled = count === 0;
-  $("reset").textContent = count ? `Reset ${count} ${count === 1 ? "change" : "changes"}` : "No changes";
+  $("reset").textContent = count ? `Reset ${count} ${count === 1 ? "change" : "changes"}${acting ? "" : " without effect"}` : "No changes";
 }
 
 function answer(message, tag) {
@@ -205,7 +206,7 @@ function ghost() {
   return preset && isChanged() && preset.points === result.points ? preset : null;
 }
 
-const isChanged = () => Object.keys(result.state.changes).length > 0;
+const isChanged = () => actingChanges(result.state).length > 0;
 
 function verdict() {
   const [kind, words] = ending(result.state, result);
@@ -220,7 +221,7 @@ function verdict() {
 
 /** What a printed page is of. */
 function origin(of) {
-  const changes = Object.entries(of.changes).map(([key, value]) => `${key} = ${textOf(value)}`);
+  const changes = actingChanges(of).map(([key, value]) => `${key} = ${textOf(value)}`);
   const law = valueOf(of, "controller.law").replaceAll("_", " ");
   const address = location.href.split("#")[0] + toAddress(of);
   return [`Scenario ${of.preset}`, `law ${law}`, changes.length ? `changed: ${changes.join(", ")}` : "nothing changed", `hexservo ${version}`, address].join("; ");

@@ -3,7 +3,7 @@ import { element, fromPlace, shown, sliders, toPlace } from "./controls.js";
 import { Crew } from "./engine.js";
 import { short, withUnit } from "./format.js";
 import { isBeyondLimits, unitOfMetric } from "./limits.js";
-import { drawn, metrics, same, valueOf } from "./model.js";
+import { actingChanges, drawn, metrics, same, valueOf } from "./model.js";
 import { cleared, colours, isShortcut, pointIn } from "./view.js";
 
 const SIZE = 64;
@@ -107,7 +107,8 @@ export class ParameterMap {
     if (state.preset !== this.base.preset) return true;
     const varied = this.axes.map(({ key }) => key);
     const [cell, other] = [this.base, state].map((of) => this.at(of, 0, 0)); // what else such a key has stays
-    return Object.keys({ ...cell.changes, ...other.changes }).some((key) => !(varied.includes(key) ? alike : same)(valueOf(cell, key), valueOf(other, key)));
+    const keys = [cell, other].flatMap(actingChanges).map(([key]) => key);
+    return keys.some((key) => !(varied.includes(key) ? alike : same)(valueOf(cell, key), valueOf(other, key)));
   }
 
   forget() {

@@ -372,6 +372,53 @@ def test_the_yaml_has_what_acts_as_python_writes_it(visit: Visit) -> None:
 
 
 @in_browser
+def test_keys_of_another_kind_of_actuators_sleep(visit: Visit) -> None:
+    """The core takes the defaults of such keys alone: a kind that is chosen after them is not refused."""
+    page = visit.page
+    numbers = "&actuators.position.bandwidth=300&actuators.motor.kp=900&actuators.bandwidth=200&actuators.saturation=1"
+    for kind, takes in {
+        "force": {"actuators.bandwidth": 200, "actuators.position.bandwidth": None, "actuators.motor.kp": None},
+        "position": {"actuators.bandwidth": None, "actuators.position.bandwidth": 300, "actuators.motor.kp": None},
+        "position_torque": {
+            "actuators.bandwidth": None,
+            "actuators.position.bandwidth": 300,
+            "actuators.motor.kp": 900,
+        },
+    }.items():
+        refusal = visit.go(f"#composite-30hz&actuators.kind={kind}{numbers}")["refusal"]
+        assert "its default" not in (refusal or ""), kind
+        usual = _core.Settings("composite")
+        full = page.evaluate("explorer.full()")
+        for key, value in takes.items():
+            default = None if key == "actuators.bandwidth" else usual[key]
+            assert full[key] == (default if value is None else value), (kind, key)
+    assert visit.go("#reachy-mini&actuators.kind=force")["refusal"] is None
+    assert hs.Scenario.from_yaml(page.evaluate("explorer.yaml()")).actuators.kind == "force"
+
+
+@in_browser
+@pytest.mark.parametrize(
+    ("preset", "change"),
+    [
+        ("reachy-mini", "camera.focal_length=0.5"),
+        ("reachy-mini", "camera.pixel_scale=1"),
+        ("paper", "controller.kelly.kp=1"),
+    ],
+)
+def test_what_does_not_act_is_no_change_of_the_run(visit: Visit, preset: str, change: str) -> None:
+    """Lengths of a camera beside its focal length in pixels, and gains of another law, stay in the address alone."""
+    page = visit.page
+    assert visit.go(f"#{preset}&{change}")["refusal"] is None
+    page.wait_for_function("explorer.reference")
+    assert page.locator("#reset").inner_text() == "Reset 1 change without effect"
+    assert page.evaluate("document.body.dataset.ghost") == ""
+    assert page.locator("#against").inner_text() == ""
+    assert hs.Scenario.from_yaml(page.evaluate("explorer.yaml()")).name == preset
+    page.click("#reset")
+    assert page.evaluate("explorer.state.changes") == {}
+
+
+@in_browser
 def test_what_the_page_chooses_itself_is_no_parameter(visit: Visit) -> None:
     visit.go("#paper&simulation.log_every=7")
     assert visit.page.evaluate("explorer.state.changes") == {}
