@@ -1,4 +1,5 @@
 /** The page: a state, the run of it, and what is drawn of that. */
+import { incomparable } from "./against.js";
 import { Chart, FIGURES } from "./charts.js";
 import { Controls, KeyList, element } from "./controls.js";
 import { Runner } from "./engine.js";
@@ -227,13 +228,6 @@ function origin(of) {
   return [`Scenario ${of.preset}`, `law ${law}`, changes.length ? `changed: ${changes.join(", ")}` : "nothing changed", `hexservo ${version}`, address].join("; ");
 }
 
-/** Why the metrics of two runs are of different spans of time, which makes them no better or worse; "" where they are of one. */
-function incomparable(one, other) {
-  if (one.outcome !== other.outcome) return `outcome ${one.outcome} against ${other.outcome}`.replaceAll("_", " ");
-  const alike = Math.abs(one.time - other.time) <= 0.001 * other.time; // ends are whole steps
-  return alike ? "" : `${withUnit(one.time, "s")} against ${withUnit(other.time, "s")}`;
-}
-
 let rows = null;
 function table() {
   rows ??= metrics.map(({ name, unit, meaning }) => {
@@ -345,16 +339,21 @@ for (const name of ["focus", "blur"]) $("image").addEventListener(name, () => re
 
 // --- out of the page
 
-async function copied(text, button) {
-  const before = button.textContent;
+/** @param {() => string} byHand what a reader is asked to do where the browser gives the page no clipboard */
+async function copied(text, button, byHand) {
+  button.dataset.label ??= button.textContent;
   try {
     await navigator.clipboard.writeText(text);
     button.textContent = "Copied";
   } catch {
-    button.textContent = "Select and copy";
-    $("yaml").select();
+    button.textContent = byHand();
   }
-  setTimeout(() => (button.textContent = before), 1500);
+  setTimeout(() => (button.textContent = button.dataset.label), 1500);
+}
+
+function select() {
+  $("yaml").select();
+  return "Select and copy";
 }
 
 $("as-yaml").addEventListener("click", () => {
@@ -363,10 +362,10 @@ $("as-yaml").addEventListener("click", () => {
   $("save").download = `${state.preset}-explored.yaml`;
   $("yaml-box").showModal();
 });
-$("copy").addEventListener("click", () => copied($("yaml").value, $("copy")));
+$("copy").addEventListener("click", () => copied($("yaml").value, $("copy"), select));
 $("link").addEventListener("click", () => {
   writeAddress(true);
-  copied(location.href, $("link"));
+  copied(location.href, $("link"), () => "Copy it from the address bar");
 });
 
 // --- start

@@ -283,7 +283,7 @@ def test_the_page_is_answered_within_a_run_of_slow_steps(visit: Visit) -> None:
 
 
 @in_browser
-def test_metrics_of_another_span_of_time_are_not_called_better(visit: Visit) -> None:
+def test_metrics_of_another_time_or_task_are_not_called_better(visit: Visit) -> None:
     page = visit.page
     coloured = "document.querySelectorAll('#metrics td:is(.good, .bad)').length"
     heading = page.locator("#of-preset")
@@ -298,6 +298,15 @@ def test_metrics_of_another_span_of_time_are_not_called_better(visit: Visit) -> 
     page.wait_for_function("explorer.reference")
     assert page.evaluate(coloured) == 0
     assert heading.inner_text() == "preset, not comparable: 2 s against 5 s"
+    for change, reason in {
+        "metrics.band=10": "another band",
+        "metrics.rms_start=2": "another rms start",
+        "target.desired_features=11,10,45,-73,-64,29,-30,-23": "another goal",
+        "simulation.start.pose=0.001,0,0,0,0,0": "another start",
+    }.items():
+        assert visit.go(f"#paper&{change}")["refusal"] is None
+        assert page.evaluate(coloured) == 0, change
+        assert heading.inner_text() == f"preset, not comparable: {reason}"
 
 
 # --- scenarios in and out
@@ -962,6 +971,29 @@ def test_changes_are_in_the_address_and_in_the_yaml(visit: Visit, browser: Brows
     page.click("#reset")
     page.wait_for_function("explorer.shown === '#paper'")
     assert visit.end()["metrics"] == pytest.approx(before["metrics"], rel=0, abs=0, nan_ok=True)
+
+
+@in_browser
+def test_the_buttons_that_copy_say_what_became_of_it_and_are_themselves_again(visit: Visit) -> None:
+    """Clicked twice, and where the browser gives no clipboard, as over http."""
+    page = visit.page
+    patient = "document.querySelector('#link').textContent === 'Copy link'"
+    page.evaluate(
+        "Object.defineProperty(navigator, 'clipboard', {value: {writeText: async () => {}}, configurable: true})"
+    )
+    page.evaluate("for (let i = 0; i < 2; ++i) document.querySelector('#link').click()")
+    page.wait_for_function("document.querySelector('#link').textContent === 'Copied'")
+    page.click("#link")
+    page.wait_for_function(patient)
+    page.evaluate("Object.defineProperty(navigator, 'clipboard', {value: undefined})")
+    page.click("#link")
+    page.wait_for_function("document.querySelector('#link').textContent === 'Copy it from the address bar'")
+    page.wait_for_function(patient)
+    page.click("#as-yaml")
+    page.click("#copy")
+    page.wait_for_function("document.querySelector('#copy').textContent === 'Select and copy'")
+    assert page.evaluate("document.querySelector('#yaml').selectionEnd") > 0
+    page.wait_for_function("document.querySelector('#copy').textContent === 'Copy'")
 
 
 @in_browser
