@@ -1,5 +1,5 @@
 /** The page: a state, the run of it, and what is drawn of that. */
-import { incomparable } from "./against.js";
+import { incomparable, isSameRun, pinnedLabel, referenceOf } from "./against.js";
 import { Chart, FIGURES } from "./charts.js";
 import { Controls, KeyList, element } from "./controls.js";
 import { Runner } from "./engine.js";
@@ -7,7 +7,7 @@ import { short, withUnit } from "./format.js";
 import { ImageView } from "./image.js";
 import { bounds, middles, passedLimits, unitOfMetric } from "./limits.js";
 import { ParameterMap } from "./map.js";
-import { actingChanges, changed, drawn, full, groups, laws, metrics, presetOf, presets, readAddress, start, textOf, toAddress, toYaml, valueOf, version } from "./model.js";
+import { actingChanges, changed, drawn, full, groups, laws, metrics, presetOf, presets, readAddress, same, start, textOf, toAddress, toYaml, valueOf, version } from "./model.js";
 import { endsAt, targetAt } from "./machine.js";
 import { MachineView } from "./scene.js";
 import { write } from "./view.js";
@@ -37,7 +37,7 @@ function change(how, final = true) {
   }
   if (next === state) return;
   ignored = [];
-  const other = next.preset !== state.preset;
+  const other = !same(referenceOf(next), referenceOf(state));
   state = next;
   run();
   if (other) compare();
@@ -150,6 +150,7 @@ function show() {
   for (const chart of charts) chart.show(result);
   at(share);
   verdict();
+  nameReference();
   table();
 }
 
@@ -198,24 +199,31 @@ function ending(of, { outcome, metrics: values, time, detail, ...rest }) {
   return [beyond ? "warn" : "good", `Settles within ${band} at ${withUnit(values.settling_time, "s")}${beyond && `, but ${beyond}`}`];
 }
 
-/** The preset's run where what is shown is a run of that preset, else null. */
-const itsPreset = () => (reference?.state.preset === result.state.preset ? reference : null);
+/** The run that what is shown is compared with, the preset's or the one that is pinned; null while that is computed. */
+const itsReference = () => (reference && same(reference.state, referenceOf(result.state)) ? reference : null);
 
-/** The preset's run where it is another one than what is shown, and its features are as many. */
+/** That run where it is another one than what is shown, and its features are as many. */
 function ghost() {
-  const preset = itsPreset();
-  return preset && isChanged() && preset.points === result.points ? preset : null;
+  const against = itsReference();
+  return against && isChanged() && against.points === result.points ? against : null;
 }
 
-const isChanged = () => actingChanges(result.state).length > 0;
+const isChanged = () => !isSameRun(result.state, referenceOf(result.state));
+
+/** Names what is compared with in what lies pale behind, and on the button that changes it. */
+function nameReference() {
+  const { pinned } = result.state;
+  for (const note of document.querySelectorAll("small.ghost")) write(note, pinned ? "pale: the pinned run" : "pale: the preset");
+  write($("pin"), pinned ? "Compare with the preset" : "Compare with this run");
+}
 
 function verdict() {
   const [kind, words] = ending(result.state, result);
   $("verdict").className = `verdict ${kind}`;
   write($("verdict"), words);
-  const preset = itsPreset();
-  const before = preset && isChanged() ? ending(preset.state, { ...preset, detail: "" })[1] : "";
-  write($("against"), before && `Preset: ${before.replace(/^./, (letter) => letter.toLowerCase())}`);
+  const against = itsReference();
+  const before = against && isChanged() ? ending(against.state, { ...against, detail: "" })[1] : "";
+  write($("against"), before && `${result.state.pinned ? "Pinned run" : "Preset"}: ${before.replace(/^./, (letter) => letter.toLowerCase())}`);
   image.canvas.setAttribute("aria-label", `Image plane: paths of ${result.points} features to their goals. ${words}. Arrow keys move a goal, digits choose it.`);
   write($("origin"), origin(result.state));
 }
@@ -236,16 +244,18 @@ function table() {
     $("metrics").append(element("tr", { title: meaning }, element("th", { scope: "row" }, about), ...cells));
     return { name, unit, cells };
   });
-  const preset = itsPreset();
-  const reason = preset ? incomparable(result, preset) : "";
-  const differs = preset && isChanged() && !reason;
-  write($("of-preset"), reason ? `preset, not comparable: ${reason}` : "preset");
+  const { pinned } = result.state;
+  const against = itsReference();
+  const reason = against ? incomparable(result, against) : "";
+  const differs = against && isChanged() && !reason;
+  const label = pinned ? pinnedLabel(result.state, pinned) : "preset";
+  write($("of-preset"), reason ? `${label}, not comparable: ${reason}` : label);
   for (const { name, unit: known, cells } of rows) {
     const unit = unitOfMetric(result.state, { name, unit: known });
-    const [value, before] = [result.metrics[name], preset?.metrics[name] ?? NaN];
+    const [value, before] = [result.metrics[name], against?.metrics[name] ?? NaN];
     cells[0].parentElement.hidden = Number.isNaN(value) && Number.isNaN(before) && name !== "settling_time";
     write(cells[0], withUnit(value, unit));
-    write(cells[1], preset ? withUnit(before, unit) : "");
+    write(cells[1], against ? withUnit(before, unit) : "");
     const ratio = value / before;
     const alike = Math.abs(ratio - 1) < 0.01 || (Number.isNaN(value) && Number.isNaN(before));
     cells[0].className = !differs || alike ? "" : ratio < 1 || (Number.isNaN(before) && !Number.isNaN(value)) ? "good" : ratio > 1 || Number.isNaN(value) ? "bad" : "";
@@ -254,8 +264,8 @@ function table() {
 
 function compare() {
   reference = null;
-  const preset = { preset: state.preset, changes: {} };
-  referee?.run(drawn(preset), preset);
+  const against = referenceOf(state);
+  referee?.run(drawn(against), against);
 }
 
 // --- time
@@ -315,9 +325,10 @@ const map = new ParameterMap($("map"), change);
 
 $("preset").append(...groups.map(([label, members]) => element("optgroup", { label }, ...members.map(({ name }) => element("option", { value: name }, name)))));
 $("law").append(...laws.map((name) => element("option", { value: name }, name.replaceAll("_", " "))));
-$("preset").addEventListener("change", () => change(() => ({ preset: $("preset").value, changes: {} })));
+$("preset").addEventListener("change", () => change((now) => ({ ...now, preset: $("preset").value, changes: {} })));
 $("law").addEventListener("change", () => change((now) => changed(now, "controller.law", $("law").value)));
-$("reset").addEventListener("click", () => change((now) => ({ preset: now.preset, changes: {} })));
+$("reset").addEventListener("click", () => change((now) => ({ ...now, changes: {} })));
+$("pin").addEventListener("click", () => result && change(({ pinned, ...now }) => (pinned ? now : { ...now, pinned: { preset: result.state.preset, changes: result.state.changes } })));
 $("time").addEventListener("input", () => result && at(Number($("time").value)));
 $("play").addEventListener("click", play);
 $("span").addEventListener("change", () => result && show());
@@ -401,9 +412,9 @@ refresh();
 try {
   [runner, referee] = await Promise.all([
     Runner.make(answer),
-    Runner.make((message, preset) => {
+    Runner.make((message, against) => {
       if (!message.result) return;
-      reference = { ...message.result, state: preset };
+      reference = { ...message.result, state: against };
       if (result) show();
     }),
   ]);

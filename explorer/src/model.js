@@ -113,9 +113,13 @@ export function parsed(key, text) {
 
 // --- address
 
-export function toAddress(state) {
-  const parts = [encodeURIComponent(state.preset)];
-  for (const [key, value] of Object.entries(state.changes)) parts.push(`${key}=${encodeURIComponent(textOf(value).replaceAll(" ", ","))}`);
+const PINNED = "pinned=";
+
+/** The address of a state, with that of the run it is compared with, where one is pinned, as one more part. */
+export function toAddress({ preset, changes, pinned }) {
+  const parts = [encodeURIComponent(preset)];
+  for (const [key, value] of Object.entries(changes)) parts.push(`${key}=${encodeURIComponent(textOf(value).replaceAll(" ", ","))}`);
+  if (pinned) parts.push(`${PINNED}${encodeURIComponent(toAddress(pinned).slice(1))}`);
   return `#${parts.join("&")}`;
 }
 
@@ -138,6 +142,12 @@ export function readAddress(hash) {
   const ignored = [];
   if (name && state.preset !== name) ignored.push(`address: expected a scenario of the list, got "${name}": this is ${state.preset}`);
   for (const part of parts) {
+    if (part.startsWith(PINNED)) {
+      const { state: pinned, ignored: left } = readAddress(part.slice(PINNED.length));
+      state = { ...state, pinned: { preset: pinned.preset, changes: pinned.changes } };
+      ignored.push(...left.map((sentence) => `pinned run: ${sentence}`));
+      continue;
+    }
     const place = part.indexOf("=");
     const key = part.slice(0, Math.max(place, 0));
     try {

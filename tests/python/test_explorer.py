@@ -309,6 +309,42 @@ def test_metrics_of_another_time_or_task_are_not_called_better(visit: Visit) -> 
         assert heading.inner_text() == f"preset, not comparable: {reason}"
 
 
+@in_browser
+def test_a_run_that_is_pinned_takes_the_place_of_the_presets(visit: Visit) -> None:
+    """In words, table and pictures; its address shares it, and the same button takes it back."""
+    page = visit.page
+    heading, words, button = (page.locator(name) for name in ("#of-preset", "#against", "#pin"))
+    gravity = "JSON.stringify(explorer.reference?.state.changes['uncertainty.gravity'])"
+    pinned = visit.go("#paper&uncertainty.gravity=0.01,0.01,0.01,0.01,0.01,0.01")["metrics"]
+    button.click()
+    page.wait_for_function(f"{gravity} === '[0.01,0.01,0.01,0.01,0.01,0.01]'")
+    assert (heading.inner_text(), words.inner_text()) == ("pinned: the same", "")
+    page.evaluate("explorer.shown = null; explorer.set('uncertainty.gravity', [0.02, 0.02, 0.02, 0.02, 0.02, 0.02])")
+    page.wait_for_function("explorer.shown !== null")
+
+    def check() -> None:
+        assert heading.inner_text() == "pinned: uncertainty.gravity = 0.01"
+        assert words.inner_text().startswith("Pinned run: ")
+        assert page.evaluate("explorer.result.ghost === explorer.reference")
+        assert page.evaluate("explorer.reference.metrics.peak_error") == pytest.approx(pinned["peak_error"], rel=0.02)
+        assert page.locator("small.ghost").first.inner_text() == "pale: the pinned run"
+        assert button.inner_text() == "Compare with the preset"
+
+    check()
+    address = page.evaluate("explorer.shown")
+    visit.go("#task-tilt")
+    page.wait_for_function("explorer.reference?.state.preset === 'task-tilt'")
+    assert heading.inner_text() == "preset"
+    visit.go(address)
+    page.wait_for_function("explorer.reference && explorer.result.ghost")
+    check()
+    assert "-changed" in page.evaluate("explorer.yaml()")
+    button.click()
+    page.wait_for_function("explorer.reference && !explorer.state.pinned && explorer.result.ghost")
+    assert (heading.inner_text(), words.inner_text()[:8]) == ("preset", "Preset: ")
+    assert page.evaluate("explorer.reference.state.changes") == {}
+
+
 # --- scenarios in and out
 
 
@@ -1402,6 +1438,15 @@ def test_a_phone_scrolls_in_one_direction_and_names_all_its_controls(browser: Br
     assert unnamed == []
     page.select_option("#preset", "composite-30hz")
     page.wait_for_function("explorer.shown === '#composite-30hz'")
+    assert visit.problems == []
+    visit.context.close()
+
+
+@in_browser
+@pytest.mark.parametrize("width", [801, 820, 1050])
+def test_a_tablet_has_all_columns_of_the_metrics(browser: Browser, file: Path, width: int) -> None:
+    visit = Visit(browser, file, "#paper&uncertainty.gravity=0.05", viewport={"width": width, "height": 1180})
+    assert visit.page.evaluate("(box => box.scrollWidth <= box.clientWidth)(document.querySelector('.numbers'))")
     assert visit.problems == []
     visit.context.close()
 
