@@ -213,7 +213,7 @@ const isChanged = () => !isSameRun(result.state, referenceOf(result.state));
 /** Names what is compared with in what lies pale behind, and on the button that changes it. */
 function nameReference() {
   const { pinned } = result.state;
-  for (const note of document.querySelectorAll("small.ghost")) write(note, pinned ? "pale: the pinned run" : "pale: the preset");
+  for (const note of document.querySelectorAll("small.ghost")) write(note, pinned ? "pale: pinned run" : "pale: the preset");
   write($("pin"), pinned ? "Compare with the preset" : "Compare with this run");
 }
 

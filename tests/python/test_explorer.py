@@ -327,7 +327,7 @@ def test_a_run_that_is_pinned_takes_the_place_of_the_presets(visit: Visit) -> No
         assert words.inner_text().startswith("Pinned run: ")
         assert page.evaluate("explorer.result.ghost === explorer.reference")
         assert page.evaluate("explorer.reference.metrics.peak_error") == pytest.approx(pinned["peak_error"], rel=0.02)
-        assert page.locator("small.ghost").first.inner_text() == "pale: the pinned run"
+        assert page.locator("small.ghost").first.inner_text() == "pale: pinned run"
         assert button.inner_text() == "Compare with the preset"
 
     check()
@@ -1329,7 +1329,8 @@ def test_the_legend_of_a_map_names_its_colours(visit: Visit) -> None:
     """Angles for cranks, and a run that the sentence warns of is not called settled alone."""
     page = visit.page
     begin_map(visit, f"#reachy-mini{MAP_OF}", "uncertainty.depth", "camera.noise", "peak_leg_excursion")
-    assert re.fullmatch(r"[\d.]+° ?[\d.]+°(, logarithmic)?", legend(page)[0].replace("\n", "")), legend(page)
+    bar = legend(page)[0].replace("\n", "")
+    assert re.fullmatch(r"[\d.]+° ?(≥ [\d.]+°, up to )?[\d.]+°(, logarithmic)?", bar), bar
     page.select_option("#map [name=metric]", "settling_time")
     assert legend(page) == ["not settled"]
     for change, ending in ("", "settled"), ("&robot.force_limit=0.05", "settled, beyond a limit"):
@@ -1340,6 +1341,71 @@ def test_the_legend_of_a_map_names_its_colours(visit: Visit) -> None:
         assert ending not in legend(page)
         assert re.match(r"[\d.]+ s", legend(page)[0])
         page.click("#map button")
+
+
+def runs_of_map(page: Page, count: int) -> None:
+    """Wait for so many runs of the map, and stop it."""
+    ready = "count => parseInt(document.querySelector('#map [data-words]').textContent) >= count"
+    page.wait_for_function(ready, arg=count)
+    page.click("#map button")
+
+
+@in_browser
+def test_a_map_of_a_metric_has_the_border_of_runs_that_settle(visit: Visit) -> None:
+    """A line on the picture, and in words how far runs settle on both sides of the sliders: single runs agree."""
+    page = visit.page
+    address = "#paper&simulation.duration=1&metrics.rms_start=0.5"
+    begin_map(visit, address, "controller.hybrid.kp", "uncertainty.inertia", "peak_error")
+    runs_of_map(page, 300)  # every fourth of each axis is computed
+    assert "border of runs that settle, within and beyond limits" in legend(page)
+    white = page.evaluate(
+        """() => {
+          const canvas = document.querySelector('#map canvas');
+          const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
+          let count = 0;
+          for (let i = 0; i < data.length; i += 4) count += data[i] > 250 && data[i + 1] > 250 && data[i + 2] > 250;
+          return count;
+        }"""
+    )
+    assert white > 300  # the ring has a hundred
+    words = page.locator("#map [data-here]").inner_text()
+    found = re.fullmatch(
+        r"Here runs settle from (\S+) N m/px² to (.+) of kp, and from (.+) to (.+) of inertia(, in part .*)?\.", words
+    )
+    assert found is not None, words
+    lowest = float(found[1])
+    spacing = 1000 ** (4 / 63)  # of cells that are computed
+    for factor, settles in (1.0, True), (1 / spacing, False):
+        end = visit.go(f"{address}&controller.hybrid.kp={','.join(8 * [str(lowest * factor)])}")
+        assert math.isnan(end["metrics"]["settling_time"]) != settles, (words, factor)
+    assert page.locator("#map [data-here]").inner_text() == "The run of the pixel at the ring does not settle."
+    visit.go(f"{address}&uncertainty.gravity=0.01")
+    assert page.locator("#map [data-here]").inner_text() == ""
+
+
+@in_browser
+def test_the_selectors_of_a_map_that_is_in_colour_again_name_its_axes(visit: Visit) -> None:
+    page = visit.page
+    chosen = "['x', 'y'].map(name => document.querySelector(`#map [name=${name}]`).value)"
+    address = "#paper&simulation.mode=sampled&simulation.duration=0.2&metrics.rms_start=0.1&metrics.dwell=0.01"
+    begin_map(visit, address, "camera.latency", "camera.noise", "peak_error")
+    page.click("#map button")
+    visit.go(address.replace("sampled", "continuous"))
+    assert page.evaluate(chosen) != ["camera.latency", "camera.noise"]
+    visit.go(address)
+    assert not page.evaluate("document.getElementById('map').classList.contains('stale')")
+    assert page.evaluate(chosen) == ["camera.latency", "camera.noise"]
+
+
+@in_browser
+def test_the_bar_of_a_map_names_the_largest_number_beyond_its_scale(visit: Visit) -> None:
+    """Two of a hundred numbers have the colour of its upper end."""
+    address = "#paper&simulation.duration=0.5&metrics.rms_start=0.2"
+    begin_map(visit, address, "controller.hybrid.kp", "uncertainty.gravity", "peak_control_force")
+    runs_of_map(visit.page, 64)
+    found = re.search(r"≥ ([\d.]+) N, up to ([\d.]+) N", legend(visit.page)[0].replace("\n", ""))
+    assert found is not None, legend(visit.page)
+    assert float(found[1]) < float(found[2])
 
 
 @in_browser
