@@ -142,6 +142,7 @@ function show() {
   result.middle = middles(of, result);
   result.bounds = bounds(of, result.middle);
   result.band = valueOf(of, "metrics.band");
+  result.isChanged = !isSameRun(of, referenceOf(of));
   result.ghost = ghost();
   document.body.dataset.ghost = result.ghost ? "yes" : "";
   result.targetMoves = valueOf(of, "target.motion.kind") !== "none";
@@ -150,7 +151,6 @@ function show() {
   for (const chart of charts) chart.show(result);
   at(share);
   verdict();
-  nameReference();
   table();
 }
 
@@ -205,14 +205,12 @@ const itsReference = () => (reference && same(reference.state, referenceOf(resul
 /** That run where it is another one than what is shown, and its features are as many. */
 function ghost() {
   const against = itsReference();
-  return against && isChanged() && against.points === result.points ? against : null;
+  return against && result.isChanged && against.points === result.points ? against : null;
 }
-
-const isChanged = () => !isSameRun(result.state, referenceOf(result.state));
 
 /** Names what is compared with in what lies pale behind, and on the button that changes it. */
 function nameReference() {
-  const { pinned } = result.state;
+  const { pinned } = state;
   for (const note of document.querySelectorAll("small.ghost")) write(note, pinned ? "pale: pinned run" : "pale: the preset");
   write($("pin"), pinned ? "Compare with the preset" : "Compare with this run");
 }
@@ -222,7 +220,7 @@ function verdict() {
   $("verdict").className = `verdict ${kind}`;
   write($("verdict"), words);
   const against = itsReference();
-  const before = against && isChanged() ? ending(against.state, { ...against, detail: "" })[1] : "";
+  const before = against && result.isChanged ? ending(against.state, { ...against, detail: "" })[1] : "";
   write($("against"), before && `${result.state.pinned ? "Pinned run" : "Preset"}: ${before.replace(/^./, (letter) => letter.toLowerCase())}`);
   image.canvas.setAttribute("aria-label", `Image plane: paths of ${result.points} features to their goals. ${words}. Arrow keys move a goal, digits choose it.`);
   write($("origin"), origin(result.state));
@@ -247,7 +245,7 @@ function table() {
   const { pinned } = result.state;
   const against = itsReference();
   const reason = against ? incomparable(result, against) : "";
-  const differs = against && isChanged() && !reason;
+  const differs = against && result.isChanged && !reason;
   const label = pinned ? pinnedLabel(result.state, pinned) : "preset";
   write($("of-preset"), reason ? `${label}, not comparable: ${reason}` : label);
   for (const { name, unit: known, cells } of rows) {
@@ -264,6 +262,7 @@ function table() {
 
 function compare() {
   reference = null;
+  nameReference();
   const against = referenceOf(state);
   referee?.run(drawn(against), against);
 }
