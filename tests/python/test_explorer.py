@@ -311,7 +311,7 @@ def test_metrics_of_another_time_or_task_are_not_called_better(visit: Visit) -> 
 
 @in_browser
 def test_a_run_that_is_pinned_takes_the_place_of_the_presets(visit: Visit) -> None:
-    """In words, table and pictures; its address shares it, and the same button takes it back."""
+    """In sentence, table and pictures; its address shares it, and the same button takes it back."""
     page = visit.page
     heading, words, button = (page.locator(name) for name in ("#of-preset", "#against", "#pin"))
     gravity = "JSON.stringify(explorer.reference?.state.changes['uncertainty.gravity'])"
@@ -1352,7 +1352,7 @@ def runs_of_map(page: Page, count: int) -> None:
 
 @in_browser
 def test_a_map_of_a_metric_has_the_border_of_runs_that_settle(visit: Visit) -> None:
-    """A line on the picture, and in words how far runs settle on both sides of the sliders: single runs agree."""
+    """A line on the picture, and a sentence on how far runs settle on both sides of the sliders: single runs agree."""
     page = visit.page
     address = "#paper&simulation.duration=1&metrics.rms_start=0.5"
     begin_map(visit, address, "controller.hybrid.kp", "uncertainty.inertia", "peak_error")
