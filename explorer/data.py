@@ -15,12 +15,12 @@ from typing import Any
 
 import hexservo as hs
 from hexservo import _core
+from hexservo.report.explorer import LAWS, preset_values
 from hexservo.run.metrics import METRICS
-from hexservo.scenario.flat import core_values, plain_value
+from hexservo.scenario.flat import plain_value
 from hexservo.scenario.schema import schema
 
 ROOT = Path(__file__).resolve().parent.parent
-LAWS = tuple(_core.LAW_TRAITS)
 PLAIN = re.compile(r"\[([^\]]+)\]\([^)]*\)|[`*]")  # links and marks of Markdown
 ROW = re.compile(r"^\| (`[^|]+`) \|[^|]*\| (?P<meaning>[^|]+) \|")
 
@@ -43,16 +43,7 @@ def meanings() -> dict[str, str]:
 def preset(name: str, defaults: dict[str, Any]) -> dict[str, Any]:
     """Return a packaged scenario as what differs from the defaults."""
     scenario = hs.load_scenario(name)
-    changed = {key: value for key, value in core_values(scenario).items() if value != defaults.get(key)}
-    for law in LAWS:
-        head = f"controller.{law}."
-        if law == scenario.controller.law:
-            continue
-        try:
-            gains = core_values(scenario.updated({"controller.law": law}))
-        except hs.ScenarioError:  # a law that this scenario cannot have: its gains are the defaults
-            continue
-        changed |= {key: value for key, value in gains.items() if key.startswith(head) and value != defaults[key]}
+    changed = {key: value for key, value in preset_values(scenario).items() if value != defaults.get(key)}
     return {"name": name, "description": scenario.description, "values": changed}
 
 

@@ -1,4 +1,5 @@
 /** The page: a state, the run of it, and what is drawn of that. */
+import { incomparable, isSameRun, pinnedLabel, referenceOf } from "./against.js";
 import { Chart, FIGURES } from "./charts.js";
 import { Controls, KeyList, element } from "./controls.js";
 import { Runner } from "./engine.js";
@@ -6,7 +7,7 @@ import { short, withUnit } from "./format.js";
 import { ImageView } from "./image.js";
 import { bounds, middles, passedLimits, unitOfMetric } from "./limits.js";
 import { ParameterMap } from "./map.js";
-import { changed, drawn, full, groups, laws, metrics, presetOf, presets, readAddress, start, textOf, toAddress, toYaml, valueOf, version } from "./model.js";
+import { actingChanges, changed, drawn, full, groups, laws, metrics, presetOf, presets, readAddress, same, start, textOf, toAddress, toYaml, valueOf, version } from "./model.js";
 import { endsAt, targetAt } from "./machine.js";
 import { MachineView } from "./scene.js";
 import { write } from "./view.js";
@@ -36,7 +37,7 @@ function change(how, final = true) {
   }
   if (next === state) return;
   ignored = [];
-  const other = next.preset !== state.preset;
+  const other = !same(referenceOf(next), referenceOf(state));
   state = next;
   run();
   if (other) compare();
@@ -91,9 +92,10 @@ function refresh() {
   controls.show(state);
   keyList.show(state);
   if (document.body.dataset.map) map.show(state); // at once, also where the core will refuse the state
-  const count = Object.keys(state.changes).length;
+  const [all, acting] = [Object.keys(state.changes).length, actingChanges(state).length];
+  const count = acting || all;
   $("reset").disabled = count === 0;
-  $("reset").textContent = count ? `Reset ${count} ${count === 1 ? "change" : "changes"}` : "No changes";
+  $("reset").textContent = count ? `Reset ${count} ${count === 1 ? "change" : "changes"}${acting ? "" : " without effect"}` : "No changes";
 }
 
 function answer(message, tag) {
@@ -140,6 +142,7 @@ function show() {
   result.middle = middles(of, result);
   result.bounds = bounds(of, result.middle);
   result.band = valueOf(of, "metrics.band");
+  result.isChanged = !isSameRun(of, referenceOf(of));
   result.ghost = ghost();
   document.body.dataset.ghost = result.ghost ? "yes" : "";
   result.targetMoves = valueOf(of, "target.motion.kind") !== "none";
@@ -196,41 +199,39 @@ function ending(of, { outcome, metrics: values, time, detail, ...rest }) {
   return [beyond ? "warn" : "good", `Settles within ${band} at ${withUnit(values.settling_time, "s")}${beyond && `, but ${beyond}`}`];
 }
 
-/** The preset's run where what is shown is a run of that preset, else null. */
-const itsPreset = () => (reference?.state.preset === result.state.preset ? reference : null);
+/** The run that what is shown is compared with, the preset's or the one that is pinned; null while that is computed. */
+const itsReference = () => (reference && same(reference.state, referenceOf(result.state)) ? reference : null);
 
-/** The preset's run where it is another one than what is shown, and its features are as many. */
+/** That run where it is another one than what is shown, and its features are as many. */
 function ghost() {
-  const preset = itsPreset();
-  return preset && isChanged() && preset.points === result.points ? preset : null;
+  const against = itsReference();
+  return against && result.isChanged && against.points === result.points ? against : null;
 }
 
-const isChanged = () => Object.keys(result.state.changes).length > 0;
+/** Names what is compared with in what lies pale behind, and on the button that changes it. */
+function nameReference() {
+  const { pinned } = state;
+  for (const note of document.querySelectorAll("small.ghost")) write(note, pinned ? "pale: pinned run" : "pale: the preset");
+  write($("pin"), pinned ? "Compare with the preset" : "Compare with this run");
+}
 
 function verdict() {
   const [kind, words] = ending(result.state, result);
   $("verdict").className = `verdict ${kind}`;
   write($("verdict"), words);
-  const preset = itsPreset();
-  const before = preset && isChanged() ? ending(preset.state, { ...preset, detail: "" })[1] : "";
-  write($("against"), before && `Preset: ${before.replace(/^./, (letter) => letter.toLowerCase())}`);
+  const against = itsReference();
+  const before = against && result.isChanged ? ending(against.state, { ...against, detail: "" })[1] : "";
+  write($("against"), before && `${result.state.pinned ? "Pinned run" : "Preset"}: ${before.replace(/^./, (letter) => letter.toLowerCase())}`);
   image.canvas.setAttribute("aria-label", `Image plane: paths of ${result.points} features to their goals. ${words}. Arrow keys move a goal, digits choose it.`);
   write($("origin"), origin(result.state));
 }
 
 /** What a printed page is of. */
 function origin(of) {
-  const changes = Object.entries(of.changes).map(([key, value]) => `${key} = ${textOf(value)}`);
+  const changes = actingChanges(of).map(([key, value]) => `${key} = ${textOf(value)}`);
   const law = valueOf(of, "controller.law").replaceAll("_", " ");
   const address = location.href.split("#")[0] + toAddress(of);
   return [`Scenario ${of.preset}`, `law ${law}`, changes.length ? `changed: ${changes.join(", ")}` : "nothing changed", `hexservo ${version}`, address].join("; ");
-}
-
-/** Why the metrics of two runs are of different spans of time, which makes them no better or worse; "" where they are of one. */
-function incomparable(one, other) {
-  if (one.outcome !== other.outcome) return `outcome ${one.outcome} against ${other.outcome}`.replaceAll("_", " ");
-  const alike = Math.abs(one.time - other.time) <= 0.001 * other.time; // ends are whole steps
-  return alike ? "" : `${withUnit(one.time, "s")} against ${withUnit(other.time, "s")}`;
 }
 
 let rows = null;
@@ -241,16 +242,18 @@ function table() {
     $("metrics").append(element("tr", { title: meaning }, element("th", { scope: "row" }, about), ...cells));
     return { name, unit, cells };
   });
-  const preset = itsPreset();
-  const reason = preset ? incomparable(result, preset) : "";
-  const differs = preset && isChanged() && !reason;
-  write($("of-preset"), reason ? `preset, not comparable: ${reason}` : "preset");
+  const { pinned } = result.state;
+  const against = itsReference();
+  const reason = against ? incomparable(result, against) : "";
+  const differs = against && result.isChanged && !reason;
+  const label = pinned ? pinnedLabel(result.state, pinned) : "preset";
+  write($("of-preset"), reason ? `${label}, not comparable: ${reason}` : label);
   for (const { name, unit: known, cells } of rows) {
     const unit = unitOfMetric(result.state, { name, unit: known });
-    const [value, before] = [result.metrics[name], preset?.metrics[name] ?? NaN];
+    const [value, before] = [result.metrics[name], against?.metrics[name] ?? NaN];
     cells[0].parentElement.hidden = Number.isNaN(value) && Number.isNaN(before) && name !== "settling_time";
     write(cells[0], withUnit(value, unit));
-    write(cells[1], preset ? withUnit(before, unit) : "");
+    write(cells[1], against ? withUnit(before, unit) : "");
     const ratio = value / before;
     const alike = Math.abs(ratio - 1) < 0.01 || (Number.isNaN(value) && Number.isNaN(before));
     cells[0].className = !differs || alike ? "" : ratio < 1 || (Number.isNaN(before) && !Number.isNaN(value)) ? "good" : ratio > 1 || Number.isNaN(value) ? "bad" : "";
@@ -259,8 +262,9 @@ function table() {
 
 function compare() {
   reference = null;
-  const preset = { preset: state.preset, changes: {} };
-  referee?.run(drawn(preset), preset);
+  nameReference();
+  const against = referenceOf(state);
+  referee?.run(drawn(against), against);
 }
 
 // --- time
@@ -320,9 +324,10 @@ const map = new ParameterMap($("map"), change);
 
 $("preset").append(...groups.map(([label, members]) => element("optgroup", { label }, ...members.map(({ name }) => element("option", { value: name }, name)))));
 $("law").append(...laws.map((name) => element("option", { value: name }, name.replaceAll("_", " "))));
-$("preset").addEventListener("change", () => change(() => ({ preset: $("preset").value, changes: {} })));
+$("preset").addEventListener("change", () => change((now) => ({ ...now, preset: $("preset").value, changes: {} })));
 $("law").addEventListener("change", () => change((now) => changed(now, "controller.law", $("law").value)));
-$("reset").addEventListener("click", () => change((now) => ({ preset: now.preset, changes: {} })));
+$("reset").addEventListener("click", () => change((now) => ({ ...now, changes: {} })));
+$("pin").addEventListener("click", () => result && change(({ pinned, ...now }) => (pinned ? now : { ...now, pinned: { preset: result.state.preset, changes: result.state.changes } })));
 $("time").addEventListener("input", () => result && at(Number($("time").value)));
 $("play").addEventListener("click", play);
 $("span").addEventListener("change", () => result && show());
@@ -344,16 +349,21 @@ for (const name of ["focus", "blur"]) $("image").addEventListener(name, () => re
 
 // --- out of the page
 
-async function copied(text, button) {
-  const before = button.textContent;
+/** @param {() => string} byHand what a reader is asked to do where the browser gives the page no clipboard */
+async function copied(text, button, byHand) {
+  button.dataset.label ??= button.textContent;
   try {
     await navigator.clipboard.writeText(text);
     button.textContent = "Copied";
   } catch {
-    button.textContent = "Select and copy";
-    $("yaml").select();
+    button.textContent = byHand();
   }
-  setTimeout(() => (button.textContent = before), 1500);
+  setTimeout(() => (button.textContent = button.dataset.label), 1500);
+}
+
+function select() {
+  $("yaml").select();
+  return "Select and copy";
 }
 
 $("as-yaml").addEventListener("click", () => {
@@ -362,10 +372,10 @@ $("as-yaml").addEventListener("click", () => {
   $("save").download = `${state.preset}-explored.yaml`;
   $("yaml-box").showModal();
 });
-$("copy").addEventListener("click", () => copied($("yaml").value, $("copy")));
+$("copy").addEventListener("click", () => copied($("yaml").value, $("copy"), select));
 $("link").addEventListener("click", () => {
   writeAddress(true);
-  copied(location.href, $("link"));
+  copied(location.href, $("link"), () => "Copy it from the address bar");
 });
 
 // --- start
@@ -401,9 +411,9 @@ refresh();
 try {
   [runner, referee] = await Promise.all([
     Runner.make(answer),
-    Runner.make((message, preset) => {
+    Runner.make((message, against) => {
       if (!message.result) return;
-      reference = { ...message.result, state: preset };
+      reference = { ...message.result, state: against };
       if (result) show();
     }),
   ]);

@@ -1,10 +1,11 @@
 /** Two keys against each other: a run for every pixel, coarse first. */
 import { element, fromPlace, shown, sliders, toPlace } from "./controls.js";
 import { Crew } from "./engine.js";
+import { borders, drawBorders, settledAround } from "./borders.js";
 import { short, withUnit } from "./format.js";
 import { isBeyondLimits, unitOfMetric } from "./limits.js";
-import { drawn, metrics, same, valueOf } from "./model.js";
-import { cleared, colours, isShortcut, pointIn } from "./view.js";
+import { actingChanges, drawn, metrics, same, valueOf } from "./model.js";
+import { cleared, colours, isShortcut, pointIn, write } from "./view.js";
 
 const SIZE = 64;
 const LEFT = 64, BOTTOM = 34;
@@ -23,6 +24,7 @@ const COLOURS = {
 };
 const ROUNDING = 1e-3; // of the entries that a slider moves together: it reads their factor with four digits
 const PALE = 0.3;
+const MOST_OF_SCALE = 0.98; // of the numbers of a map are on its scale: a few large ones would leave one colour to all others
 const FINGER = 3; // cells that a second tap may be beside the first one
 
 /** Places of a grid, those of a coarse one first, each with the width of what it stands for until finer ones come. */
@@ -66,6 +68,7 @@ export class ParameterMap {
     this.crew = new Crew();
     this.canvas = box.querySelector("canvas");
     this.words = box.querySelector("[data-words]");
+    this.here = box.querySelector("[data-here]");
     this.legend = box.querySelector(".legend");
     this.x = box.querySelector("[name=x]");
     this.y = box.querySelector("[name=y]");
@@ -98,6 +101,8 @@ export class ParameterMap {
         select.replaceChildren(...list.map(({ id, label }) => element("option", { value: id }, label)));
         select.value = list.some(({ id }) => id === old) ? old : fallback;
       }
+      const hasAxes = this.cells && !this.isStale && this.axes.every(({ id }) => list.some((entry) => entry.id === id));
+      if (hasAxes) [this.x.value, this.y.value] = this.axes.map(({ id }) => id); // of the map that is in colour again
     }
     this.draw();
   }
@@ -107,7 +112,8 @@ export class ParameterMap {
     if (state.preset !== this.base.preset) return true;
     const varied = this.axes.map(({ key }) => key);
     const [cell, other] = [this.base, state].map((of) => this.at(of, 0, 0)); // what else such a key has stays
-    return Object.keys({ ...cell.changes, ...other.changes }).some((key) => !(varied.includes(key) ? alike : same)(valueOf(cell, key), valueOf(other, key)));
+    const keys = [cell, other].flatMap(actingChanges).map(([key]) => key);
+    return keys.some((key) => !(varied.includes(key) ? alike : same)(valueOf(cell, key), valueOf(other, key)));
   }
 
   forget() {
@@ -187,18 +193,28 @@ export class ParameterMap {
     return by === "settling_time" ? "not settled" : "no value";
   }
 
+  /** Ends of the scale of colours, and the largest number, which has the colour of the upper end. */
   range() {
     const numbers = this.cells.filter(Boolean).map((cell) => this.value(cell)).filter((value) => typeof value === "number").sort((a, b) => a - b);
-    if (!numbers.length) return [0, 1, false];
-    const low = numbers[0], high = numbers[Math.floor(0.98 * (numbers.length - 1))];
-    return [low, high, low > 0 && high / low > 30];
+    if (!numbers.length) return { low: 0, high: 1, most: 1, log: false };
+    const low = numbers[0], high = numbers[Math.floor(MOST_OF_SCALE * (numbers.length - 1))];
+    return { low, high, most: numbers.at(-1), log: low > 0 && high / low > 30 };
   }
 
-  colour(cell, [low, high, log]) {
+  colour(cell, { low, high, log }) {
     const value = this.value(cell);
     if (typeof value === "string") return COLOURS[value] ?? COLOURS["no value"];
     const share = log ? Math.log(value / low) / Math.log(high / low) : (value - low) / (high - low || 1);
     return heat(share);
+  }
+
+  /** What a place of the grid shows: its own run, or until that is there the one that stands for it; null where there is none. */
+  cellFor(x, y) {
+    for (let step = 1; step <= SIZE / 8; step *= 2) {
+      const cell = this.cells[(y - (y % step)) * SIZE + x - (x % step)];
+      if (cell) return cell;
+    }
+    return null;
   }
 
   draw() {
@@ -215,17 +231,15 @@ export class ParameterMap {
       c.fillText("64 × 64 runs of this scenario", LEFT + side[0] / 2, 8 + side[1] / 2);
       this.explained = "";
       this.legend.replaceChildren();
+      write(this.here, "");
       if (!this.running) this.words.textContent = this.refusal || "Each pixel will be a run of the scenario above with two keys varied.";
       return;
     }
     const range = this.range();
     const picture = new ImageData(SIZE, SIZE);
-    let coarse = SIZE / 8;
-    while (coarse > 1 && this.count >= (SIZE / coarse) ** 2 * 4) coarse /= 2;
     for (let y = 0; y < SIZE; ++y)
       for (let x = 0; x < SIZE; ++x) {
-        let cell = null;
-        for (let step = 1; step <= SIZE / 8 && !cell; step *= 2) cell = this.cells[(y - (y % step)) * SIZE + x - (x % step)];
+        const cell = this.cellFor(x, y);
         const at = 4 * ((SIZE - 1 - y) * SIZE + x);
         picture.data.set(cell ? [...this.colour(cell, range), 255] : [128, 128, 128, 40], at);
       }
@@ -234,7 +248,10 @@ export class ParameterMap {
     c.imageSmoothingEnabled = false;
     c.globalAlpha = this.isStale ? PALE : 1;
     c.drawImage(small, LEFT, 8, ...side);
+    this.borders = borders(SIZE, (x, y) => this.cellFor(x, y)?.ending);
+    if (!this.isStale) drawBorders(c, this.borders, SIZE, this.area);
     c.globalAlpha = 1;
+    write(this.here, this.extent());
     this.labels(c, width, height, colour);
     if (!this.isStale) this.marks(c, colour);
     this.explain(range);
@@ -247,16 +264,19 @@ export class ParameterMap {
   }
 
   /** The legend: a bar for the numbers, and the names that colour a cell. */
-  explain([low, high, log]) {
+  explain({ low, high, most, log }) {
     const values = new Set(this.cells.filter(Boolean).map((cell) => this.value(cell)));
     const names = Object.keys(COLOURS).filter((name) => values.delete(name));
-    const ends = values.size ? [low, high].map((number) => this.number(number, 3)) : [];
-    const explained = [this.by.value, ends, log, names].join();
+    const [from, to, largest] = values.size ? [low, high, most].map((number) => this.number(number, 3)) : [];
+    const ends = values.size ? [from, largest === to ? to : `≥ ${to}, up to ${largest}`] : [];
+    const bordered = this.borders.length > 0;
+    const explained = [this.by.value, ends, log, names, bordered].join();
     if (explained === this.explained) return;
     this.explained = explained;
     const bar = element("i", { class: "bar", style: `--bar: linear-gradient(to right, ${HEAT.map(css).join(", ")})` });
     const numbers = ends.length ? [element("b", {}, ends[0], bar, `${ends[1]}${log ? ", logarithmic" : ""}`)] : [];
-    this.legend.replaceChildren(...numbers, ...names.map((name) => element("span", { style: `--colour: ${css(COLOURS[name])}` }, name)));
+    const line = bordered ? [element("span", { class: "border" }, "border of runs that settle, within and beyond limits")] : [];
+    this.legend.replaceChildren(...numbers, ...names.map((name) => element("span", { style: `--colour: ${css(COLOURS[name])}` }, name)), ...line);
   }
 
   /** A number of the metric that colours the map, with its unit. */
@@ -282,6 +302,22 @@ export class ParameterMap {
     c.rotate(-Math.PI / 2);
     c.fillText(this.axes[1].label, 0, 0);
     c.restore();
+  }
+
+  /** How far runs settle on both sides of the place of the sliders; "" where that is not on the map. */
+  extent() {
+    if (this.isStale) return "";
+    const place = this.axes.map((entry) => toPlace(entry, entry.get(this.state)));
+    if (!place.every((share) => share >= 0 && share <= 1)) return "";
+    const at = place.map((share) => Math.round(share * (SIZE - 1)));
+    const endingAt = (x, y) => this.cellFor(x, y)?.ending;
+    if (endingAt(...at) === undefined) return "";
+    const found = this.axes.map((_, axis) => settledAround(SIZE, endingAt, at, axis));
+    if (found[0] === null) return "The run of the pixel at the ring does not settle.";
+    const end = (entry, i) => (i === 0 || i === SIZE - 1 ? "the map's edge" : shown(entry, fromPlace(entry, i / (SIZE - 1))));
+    const parts = this.axes.map((entry, axis) => `from ${end(entry, found[axis].first)} to ${end(entry, found[axis].last)} of ${entry.label}`);
+    const beyond = found.some((range) => range.isBeyond) ? ", in part beyond a limit" : "";
+    return `Here runs settle ${parts.join(", and ")}${beyond}.`;
   }
 
   /** Where the sliders are, and the cell of the keyboard. */

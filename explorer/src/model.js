@@ -51,19 +51,37 @@ export const keysOf = (law) => keys.filter((key) => (lawOfKey(key.key) ?? law) =
 /** Keys that a user finds: how often samples are logged is the page's own choice. */
 export const listedKeysOf = (law) => keysOf(law).filter(({ key }) => key !== LOGGING);
 
-/** Whether a key has an effect: not one of the other mode, nor what makes a wrench of a twist where legs follow that by themselves. */
+/** Kinds of actuators that have a key, or null where all have it: the core takes no other value than the default where another kind is. */
+function kindsOf(key) {
+  if (key.startsWith("actuators.motor.")) return ["position_torque"];
+  if (/^(actuators\.position|controller\.virtual_platform)\./.test(key)) return ["position", "position_torque"];
+  return /^(actuators\.(?!kind$|delay$)\w+|controller\.safe\.\w+)$/.test(key) ? ["force"] : null;
+}
+
+const isOfItsKind = (state, key) => kindsOf(key)?.includes(valueOf(state, "actuators.kind")) ?? true;
+
+/**
+ * Whether a key has an effect: not one of another law, of the other mode or of another kind of actuators, nor what makes a
+ * wrench of a twist where legs follow that by themselves, nor lengths of a camera whose focal length is given in pixels.
+ */
 export function acts(state, { key, mode }) {
+  const law = valueOf(state, "controller.law");
+  if ((lawOfKey(key) ?? law) !== law || !isOfItsKind(state, key)) return false;
+  if (/^camera\.(focal_length|pixel_scale)$/.test(key)) return valueOf(state, "camera.focal_pixels") === null;
   const sampled = valueOf(state, "simulation.mode") === "sampled";
   if (mode === "sampled" && !sampled) return false;
   const follow = sampled && valueOf(state, "actuators.kind") !== "force";
-  return !(follow && twistLaws.some((law) => key === `controller.${law}.ki`));
+  return !(follow && twistLaws.some((name) => key === `controller.${name}.ki`));
 }
 
-/** All keys of the law that acts, as the core takes them. */
+/** The changes that act: [key, value] of each. The address has the others too, which sleep until the law, the mode or the kind has them. */
+export const actingChanges = (state) => Object.entries(state.changes).filter(([key]) => acts(state, keyOf[key]));
+
+/** All keys of the law that acts, as the core takes them: of another kind of actuators the defaults. */
 export function full(state) {
   const law = valueOf(state, "controller.law");
   const scenario = { "controller.law": law };
-  for (const { key } of keysOf(law)) scenario[key] = valueOf(state, key);
+  for (const { key, default: usual } of keysOf(law)) scenario[key] = isOfItsKind(state, key) ? valueOf(state, key) : usual;
   return scenario;
 }
 
@@ -95,9 +113,13 @@ export function parsed(key, text) {
 
 // --- address
 
-export function toAddress(state) {
-  const parts = [encodeURIComponent(state.preset)];
-  for (const [key, value] of Object.entries(state.changes)) parts.push(`${key}=${encodeURIComponent(textOf(value).replaceAll(" ", ","))}`);
+const PINNED = "pinned=";
+
+/** The address of a state, with that of the run it is compared with, where one is pinned, as one more part. */
+export function toAddress({ preset, changes, pinned }) {
+  const parts = [encodeURIComponent(preset)];
+  for (const [key, value] of Object.entries(changes)) parts.push(`${key}=${encodeURIComponent(textOf(value).replaceAll(" ", ","))}`);
+  if (pinned) parts.push(`${PINNED}${encodeURIComponent(toAddress(pinned).slice(1))}`);
   return `#${parts.join("&")}`;
 }
 
@@ -120,6 +142,12 @@ export function readAddress(hash) {
   const ignored = [];
   if (name && state.preset !== name) ignored.push(`address: expected a scenario of the list, got "${name}": this is ${state.preset}`);
   for (const part of parts) {
+    if (part.startsWith(PINNED)) {
+      const { state: pinned, ignored: left } = readAddress(part.slice(PINNED.length));
+      state = { ...state, pinned: { preset: pinned.preset, changes: pinned.changes } };
+      ignored.push(...left.map((sentence) => `pinned run: ${sentence}`));
+      continue;
+    }
     const place = part.indexOf("=");
     const key = part.slice(0, Math.max(place, 0));
     try {
@@ -158,7 +186,7 @@ const yamlNumber = (number) => String(number);
 
 /**
  * A scenario file with the same numbers: every key that acts and differs from its default. The name is that of the
- * preset, marked where something is changed.
+ * preset, marked where something that acts is changed.
  */
 export function toYaml(state) {
   const scenario = full(state);
@@ -181,7 +209,7 @@ export function toYaml(state) {
     if (fixed || !same(value, key.default)) put(key.key, yamlValue(key, value));
   }
   put("controller.law", scenario["controller.law"]);
-  const mark = Object.keys(state.changes).length ? "-changed" : "";
+  const mark = actingChanges(state).length ? "-changed" : "";
   const name = JSON.stringify(state.preset.slice(0, MOST_LETTERS_OF_NAME - mark.length) + mark); // in quotes, for it may be 1 or true
   const lines = [`# Made with the hexservo explorer ${version}: hexservo run FILE`, `name: ${name}`];
   const write = (block, depth) => {

@@ -24,7 +24,7 @@ import hexservo as hs
 from hexservo import _core
 from hexservo.cli.commands import app
 from hexservo.report import explorer
-from hexservo.report.explorer import TITLE, ExplorerError, built_for, checked_page, explorer_page
+from hexservo.report.explorer import TITLE, ExplorerError, built_for, checked_page, explorer_page, preset_values
 from hexservo.run.files import write_file
 from hexservo.run.leg_limits import leg_limits
 from hexservo.run.metrics import METRICS
@@ -283,7 +283,7 @@ def test_the_page_is_answered_within_a_run_of_slow_steps(visit: Visit) -> None:
 
 
 @in_browser
-def test_metrics_of_another_span_of_time_are_not_called_better(visit: Visit) -> None:
+def test_metrics_of_another_time_or_task_are_not_called_better(visit: Visit) -> None:
     page = visit.page
     coloured = "document.querySelectorAll('#metrics td:is(.good, .bad)').length"
     heading = page.locator("#of-preset")
@@ -298,6 +298,51 @@ def test_metrics_of_another_span_of_time_are_not_called_better(visit: Visit) -> 
     page.wait_for_function("explorer.reference")
     assert page.evaluate(coloured) == 0
     assert heading.inner_text() == "preset, not comparable: 2 s against 5 s"
+    for change, reason in {
+        "metrics.band=10": "another band",
+        "metrics.rms_start=2": "another rms start",
+        "target.desired_features=11,10,45,-73,-64,29,-30,-23": "another goal",
+        "simulation.start.pose=0.001,0,0,0,0,0": "another start",
+    }.items():
+        assert visit.go(f"#paper&{change}")["refusal"] is None
+        assert page.evaluate(coloured) == 0, change
+        assert heading.inner_text() == f"preset, not comparable: {reason}"
+
+
+@in_browser
+def test_a_run_that_is_pinned_takes_the_place_of_the_presets(visit: Visit) -> None:
+    """In sentence, table and pictures; its address shares it, and the same button takes it back."""
+    page = visit.page
+    heading, words, button = (page.locator(name) for name in ("#of-preset", "#against", "#pin"))
+    gravity = "JSON.stringify(explorer.reference?.state.changes['uncertainty.gravity'])"
+    pinned = visit.go("#paper&uncertainty.gravity=0.01,0.01,0.01,0.01,0.01,0.01")["metrics"]
+    button.click()
+    page.wait_for_function(f"{gravity} === '[0.01,0.01,0.01,0.01,0.01,0.01]'")
+    assert (heading.inner_text(), words.inner_text()) == ("pinned: the same", "")
+    page.evaluate("explorer.shown = null; explorer.set('uncertainty.gravity', [0.02, 0.02, 0.02, 0.02, 0.02, 0.02])")
+    page.wait_for_function("explorer.shown !== null")
+
+    def check() -> None:
+        assert heading.inner_text() == "pinned: uncertainty.gravity = 0.01"
+        assert words.inner_text().startswith("Pinned run: ")
+        assert page.evaluate("explorer.result.ghost === explorer.reference")
+        assert page.evaluate("explorer.reference.metrics.peak_error") == pytest.approx(pinned["peak_error"], rel=0.02)
+        assert page.locator("small.ghost").first.inner_text() == "pale: pinned run"
+        assert button.inner_text() == "Compare with the preset"
+
+    check()
+    address = page.evaluate("explorer.shown")
+    visit.go("#task-tilt")
+    page.wait_for_function("explorer.reference?.state.preset === 'task-tilt'")
+    assert heading.inner_text() == "preset"
+    visit.go(address)
+    page.wait_for_function("explorer.reference && explorer.result.ghost")
+    check()
+    assert "-changed" in page.evaluate("explorer.yaml()")
+    button.click()
+    page.wait_for_function("explorer.reference && !explorer.state.pinned && explorer.result.ghost")
+    assert (heading.inner_text(), words.inner_text()[:8]) == ("preset", "Preset: ")
+    assert page.evaluate("explorer.reference.state.changes") == {}
 
 
 # --- scenarios in and out
@@ -369,6 +414,53 @@ def test_the_yaml_has_what_acts_as_python_writes_it(visit: Visit) -> None:
     assert visit.page.locator('[data-id^="controller.resolved_rate.ki"]').count() == 0
     visit.go("#paper&controller.law=resolved_rate")
     assert visit.page.locator('[data-id^="controller.resolved_rate.ki"]').count() == 2
+
+
+@in_browser
+def test_keys_of_another_kind_of_actuators_sleep(visit: Visit) -> None:
+    """The core takes the defaults of such keys alone: a kind that is chosen after them is not refused."""
+    page = visit.page
+    numbers = "&actuators.position.bandwidth=300&actuators.motor.kp=900&actuators.bandwidth=200&actuators.saturation=1"
+    for kind, takes in {
+        "force": {"actuators.bandwidth": 200, "actuators.position.bandwidth": None, "actuators.motor.kp": None},
+        "position": {"actuators.bandwidth": None, "actuators.position.bandwidth": 300, "actuators.motor.kp": None},
+        "position_torque": {
+            "actuators.bandwidth": None,
+            "actuators.position.bandwidth": 300,
+            "actuators.motor.kp": 900,
+        },
+    }.items():
+        refusal = visit.go(f"#composite-30hz&actuators.kind={kind}{numbers}")["refusal"]
+        assert "its default" not in (refusal or ""), kind
+        usual = _core.Settings("composite")
+        full = page.evaluate("explorer.full()")
+        for key, value in takes.items():
+            default = None if key == "actuators.bandwidth" else usual[key]
+            assert full[key] == (default if value is None else value), (kind, key)
+    assert visit.go("#reachy-mini&actuators.kind=force")["refusal"] is None
+    assert hs.Scenario.from_yaml(page.evaluate("explorer.yaml()")).actuators.kind == "force"
+
+
+@in_browser
+@pytest.mark.parametrize(
+    ("preset", "change"),
+    [
+        ("reachy-mini", "camera.focal_length=0.5"),
+        ("reachy-mini", "camera.pixel_scale=1"),
+        ("paper", "controller.kelly.kp=1"),
+    ],
+)
+def test_what_does_not_act_is_no_change_of_the_run(visit: Visit, preset: str, change: str) -> None:
+    """Lengths of a camera beside its focal length in pixels, and gains of another law, stay in the address alone."""
+    page = visit.page
+    assert visit.go(f"#{preset}&{change}")["refusal"] is None
+    page.wait_for_function("explorer.reference")
+    assert page.locator("#reset").inner_text() == "Reset 1 change without effect"
+    assert page.evaluate("document.body.dataset.ghost") == ""
+    assert page.locator("#against").inner_text() == ""
+    assert hs.Scenario.from_yaml(page.evaluate("explorer.yaml()")).name == preset
+    page.click("#reset")
+    assert page.evaluate("explorer.state.changes") == {}
 
 
 @in_browser
@@ -918,6 +1010,29 @@ def test_changes_are_in_the_address_and_in_the_yaml(visit: Visit, browser: Brows
 
 
 @in_browser
+def test_the_buttons_that_copy_say_what_became_of_it_and_are_themselves_again(visit: Visit) -> None:
+    """Clicked twice, and where the browser gives no clipboard, as over http."""
+    page = visit.page
+    patient = "document.querySelector('#link').textContent === 'Copy link'"
+    page.evaluate(
+        "Object.defineProperty(navigator, 'clipboard', {value: {writeText: async () => {}}, configurable: true})"
+    )
+    page.evaluate("for (let i = 0; i < 2; ++i) document.querySelector('#link').click()")
+    page.wait_for_function("document.querySelector('#link').textContent === 'Copied'")
+    page.click("#link")
+    page.wait_for_function(patient)
+    page.evaluate("Object.defineProperty(navigator, 'clipboard', {value: undefined})")
+    page.click("#link")
+    page.wait_for_function("document.querySelector('#link').textContent === 'Copy it from the address bar'")
+    page.wait_for_function(patient)
+    page.click("#as-yaml")
+    page.click("#copy")
+    page.wait_for_function("document.querySelector('#copy').textContent === 'Select and copy'")
+    assert page.evaluate("document.querySelector('#yaml').selectionEnd") > 0
+    page.wait_for_function("document.querySelector('#copy').textContent === 'Copy'")
+
+
+@in_browser
 def test_back_undoes_a_change(visit: Visit) -> None:
     """A drag is one entry of the history, however many values it goes through."""
     page = visit.page
@@ -1214,7 +1329,8 @@ def test_the_legend_of_a_map_names_its_colours(visit: Visit) -> None:
     """Angles for cranks, and a run that the sentence warns of is not called settled alone."""
     page = visit.page
     begin_map(visit, f"#reachy-mini{MAP_OF}", "uncertainty.depth", "camera.noise", "peak_leg_excursion")
-    assert re.fullmatch(r"[\d.]+° ?[\d.]+°(, logarithmic)?", legend(page)[0].replace("\n", "")), legend(page)
+    bar = legend(page)[0].replace("\n", "")
+    assert re.fullmatch(r"[\d.]+° ?(≥ [\d.]+°, up to )?[\d.]+°(, logarithmic)?", bar), bar
     page.select_option("#map [name=metric]", "settling_time")
     assert legend(page) == ["not settled"]
     for change, ending in ("", "settled"), ("&robot.force_limit=0.05", "settled, beyond a limit"):
@@ -1225,6 +1341,71 @@ def test_the_legend_of_a_map_names_its_colours(visit: Visit) -> None:
         assert ending not in legend(page)
         assert re.match(r"[\d.]+ s", legend(page)[0])
         page.click("#map button")
+
+
+def runs_of_map(page: Page, count: int) -> None:
+    """Wait for so many runs of the map, and stop it."""
+    ready = "count => parseInt(document.querySelector('#map [data-words]').textContent) >= count"
+    page.wait_for_function(ready, arg=count)
+    page.click("#map button")
+
+
+@in_browser
+def test_a_map_of_a_metric_has_the_border_of_runs_that_settle(visit: Visit) -> None:
+    """A line on the picture, and a sentence on how far runs settle on both sides of the sliders: single runs agree."""
+    page = visit.page
+    address = "#paper&simulation.duration=1&metrics.rms_start=0.5"
+    begin_map(visit, address, "controller.hybrid.kp", "uncertainty.inertia", "peak_error")
+    runs_of_map(page, 300)  # every fourth of each axis is computed
+    assert "border of runs that settle, within and beyond limits" in legend(page)
+    white = page.evaluate(
+        """() => {
+          const canvas = document.querySelector('#map canvas');
+          const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
+          let count = 0;
+          for (let i = 0; i < data.length; i += 4) count += data[i] > 250 && data[i + 1] > 250 && data[i + 2] > 250;
+          return count;
+        }"""
+    )
+    assert white > 300  # the ring has a hundred
+    words = page.locator("#map [data-here]").inner_text()
+    found = re.fullmatch(
+        r"Here runs settle from (\S+) N m/px² to (.+) of kp, and from (.+) to (.+) of inertia(, in part .*)?\.", words
+    )
+    assert found is not None, words
+    lowest = float(found[1])
+    spacing = 1000 ** (4 / 63)  # of cells that are computed
+    for factor, settles in (1.0, True), (1 / spacing, False):
+        end = visit.go(f"{address}&controller.hybrid.kp={','.join(8 * [str(lowest * factor)])}")
+        assert math.isnan(end["metrics"]["settling_time"]) != settles, (words, factor)
+    assert page.locator("#map [data-here]").inner_text() == "The run of the pixel at the ring does not settle."
+    visit.go(f"{address}&uncertainty.gravity=0.01")
+    assert page.locator("#map [data-here]").inner_text() == ""
+
+
+@in_browser
+def test_the_selectors_of_a_map_that_is_in_colour_again_name_its_axes(visit: Visit) -> None:
+    page = visit.page
+    chosen = "['x', 'y'].map(name => document.querySelector(`#map [name=${name}]`).value)"
+    address = "#paper&simulation.mode=sampled&simulation.duration=0.2&metrics.rms_start=0.1&metrics.dwell=0.01"
+    begin_map(visit, address, "camera.latency", "camera.noise", "peak_error")
+    page.click("#map button")
+    visit.go(address.replace("sampled", "continuous"))
+    assert page.evaluate(chosen) != ["camera.latency", "camera.noise"]
+    visit.go(address)
+    assert not page.evaluate("document.getElementById('map').classList.contains('stale')")
+    assert page.evaluate(chosen) == ["camera.latency", "camera.noise"]
+
+
+@in_browser
+def test_the_bar_of_a_map_names_the_largest_number_beyond_its_scale(visit: Visit) -> None:
+    """Two of a hundred numbers have the colour of its upper end."""
+    address = "#paper&simulation.duration=0.5&metrics.rms_start=0.2"
+    begin_map(visit, address, "controller.hybrid.kp", "uncertainty.gravity", "peak_control_force")
+    runs_of_map(visit.page, 64)
+    found = re.search(r"≥ ([\d.]+) N, up to ([\d.]+) N", legend(visit.page)[0].replace("\n", ""))
+    assert found is not None, legend(visit.page)
+    assert float(found[1]) < float(found[2])
 
 
 @in_browser
@@ -1323,6 +1504,15 @@ def test_a_phone_scrolls_in_one_direction_and_names_all_its_controls(browser: Br
     assert unnamed == []
     page.select_option("#preset", "composite-30hz")
     page.wait_for_function("explorer.shown === '#composite-30hz'")
+    assert visit.problems == []
+    visit.context.close()
+
+
+@in_browser
+@pytest.mark.parametrize("width", [801, 820])
+def test_a_tablet_has_all_columns_of_the_metrics(browser: Browser, file: Path, width: int) -> None:
+    visit = Visit(browser, file, "#paper&uncertainty.gravity=0.05", viewport={"width": width, "height": 1180})
+    assert visit.page.evaluate("(box => box.scrollWidth <= box.clientWidth)(document.querySelector('.numbers'))")
     assert visit.problems == []
     visit.context.close()
 
@@ -1463,6 +1653,19 @@ def test_the_page_has_every_law_and_the_gains_of_no_other() -> None:
         others = tuple(f"controller.{other}." for other in known["laws"] if other != law)
         keys = {key["key"] for key in known["keys"] if not key["key"].startswith(others)}
         assert keys == {key.name for key in _core.scenario_keys(law)}, law
+
+
+def test_a_scenario_of_a_file_has_the_gains_of_every_law() -> None:
+    """Five points: the defaults of other laws are for four, and the core refuses them."""
+    scenario = hs.load_scenario("reachy-mini").updated({"name": "mine"})
+    values = preset_values(scenario)
+    assert core_values(scenario).items() <= values.items()
+    for law in set(_core.LAW_TRAITS) - {scenario.controller.law, "tracking"}:  # a law that this scenario cannot have
+        expected = core_values(scenario.updated({"controller.law": law}))
+        gains = {key: value for key, value in expected.items() if key.startswith(f"controller.{law}.")}
+        assert gains.items() <= values.items(), law
+    assert len(values["controller.kelly.kp"]) == 10
+    assert not any(key.startswith("controller.tracking.") for key in values)
 
 
 @pytest.fixture

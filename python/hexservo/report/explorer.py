@@ -6,13 +6,17 @@ import hashlib
 import json
 import re
 from importlib import resources
+from typing import Any
 
+from hexservo import _core
 from hexservo.run.metrics import METRICS
 from hexservo.scenario.flat import core_values
 from hexservo.scenario.scenario import Scenario, scenario_names
 from hexservo.scenario.schema import schema
 from hexservo.scenario.version import VERSION
+from hexservo.scenario.yaml import ScenarioError
 
+LAWS = tuple(_core.LAW_TRAITS)
 TITLE = "<!doctype html><!-- hexservo explorer, format 1 -->"
 _BUILT_FOR = re.compile(r'<meta name="hexservo" content="([^"]*)">')
 _PLACE = '<script type="application/json" id="own">null</script>'
@@ -51,6 +55,29 @@ def checked_page(page: str) -> str:
     return page
 
 
+def preset_values(scenario: Scenario) -> dict[str, Any]:
+    """Return a scenario's values by key as the page takes them: those of its law, and the gains of every other law.
+
+    Other laws have the gains that Python gives them for this scenario's target. Those of a law that the scenario cannot
+    have are left out, which the page reads as the defaults.
+
+    Raises
+    ------
+    ValueError
+        As `hexservo.scenario.parameters.core_parameters`, for the scenario's own law.
+    """
+    values = core_values(scenario)
+    for law in LAWS:
+        if law == scenario.controller.law:
+            continue
+        try:
+            others = core_values(scenario.updated({"controller.law": law}))
+        except ScenarioError:
+            continue
+        values |= {key: value for key, value in others.items() if key.startswith(f"controller.{law}.")}
+    return values
+
+
 def explorer_page(scenario: Scenario | str = "paper") -> str:
     """Return the page, which starts with a scenario.
 
@@ -74,7 +101,7 @@ def explorer_page(scenario: Scenario | str = "paper") -> str:
     own: dict[str, object] = {"start": scenario}
     if isinstance(scenario, Scenario):
         name = scenario.name + ("-file" if scenario.name in scenario_names() else "")  # a name that a file may have
-        preset = {"name": name, "description": scenario.description, "values": core_values(scenario)}
+        preset = {"name": name, "description": scenario.description, "values": preset_values(scenario)}
         own = {"start": name, "preset": preset}
     text = json.dumps(own, allow_nan=False).replace("<", "\\u003c")
     return page.replace(_PLACE, _PLACE.replace("null", text), 1)
