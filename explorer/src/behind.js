@@ -1,6 +1,6 @@
 /** What a chart has behind its curves: the settling band and the settling time, limits of the legs, and the preset's errors. */
 import { withUnit } from "./format.js";
-import { colours, lineColour, pale } from "./view.js";
+import { Line, colours, lineColour, pale } from "./view.js";
 
 const FAINTER = 0.15; // a band beside a line of its colour
 const FONT = 11; // pixels
@@ -35,7 +35,9 @@ export function drawErrors(plot, { rows, points, samples }, looks) {
       ctx.lineWidth = 1.4 * size;
       ctx.setLineDash(dash.map((length) => length * size));
       ctx.beginPath();
-      for (let k = 0; k <= last; ++k) ctx.lineTo(left + right * time[k], top + up * errors[2 * points * k + j]);
+      const line = new Line(ctx);
+      for (let k = 0; k <= last; ++k) line.to(left + right * time[k], top + up * errors[2 * points * k + j]);
+      line.end();
       ctx.stroke();
     });
   });

@@ -156,9 +156,9 @@ export class Core {
     this.run = new Uint32Array(this.c.memory.buffer, place, 1)[0];
   }
 
-  /** Goes on by so many steps, to the end without a number; returns whether the run goes on still. */
+  /** Goes on by so many steps, to the end without a number; returns whether the run goes on still. `taken` are the steps since the start. */
   advance(steps = -1) {
-    this.c.hexservo_run_advance(this.run, BigInt(steps));
+    this.taken = Number(this.c.hexservo_run_advance(this.run, BigInt(steps)));
     return this.c.hexservo_run_outcome(this.run) < 0;
   }
 

@@ -1,10 +1,9 @@
 /** The image plane: paths of the features, their goals, which can be dragged, and where they are now. */
 import { short } from "./format.js";
-import { cleared, colours, isShortcut, lineColour, pale, pointIn, ticks } from "./view.js";
+import { Line, cleared, colours, isShortcut, lineColour, pale, pointIn, ticks } from "./view.js";
 
 const NEAR = 22; // pixels within which a goal is taken
 const PAD = 34;
-const FINE = 0.3; // pixels that a path may be longer or shorter for being drawn with fewer lines
 
 export class ImageView {
   /**
@@ -123,16 +122,17 @@ export class ImageView {
   path(c, { goals, samples, rows, points }, point) {
     const errors = samples.feature_error;
     const [goalX, goalY] = this.place(goals[2 * point], goals[2 * point + 1]);
-    let [x, y, drawnX, drawnY] = [NaN, NaN, NaN, NaN];
-    for (let at = 2 * point; at < 2 * points * rows; at += 2 * points) {
-      const [nextX, nextY] = [goalX - this.scale * errors[at], goalY + this.scale * errors[at + 1]];
-      if (!Number.isFinite(nextX + nextY)) continue;
-      [x, y] = [nextX, nextY];
-      if (Math.abs(x - drawnX) + Math.abs(y - drawnY) < FINE) continue;
-      c.lineTo(x, y);
-      [drawnX, drawnY] = [x, y];
-    }
-    if (Number.isFinite(x)) c.lineTo(x, y);
+    const line = new Line(c);
+    for (let at = 2 * point; at < 2 * points * rows; at += 2 * points) line.to(goalX - this.scale * errors[at], goalY + this.scale * errors[at + 1]);
+    line.end();
+  }
+
+  /** The border of the camera's image. */
+  frame(c, [left, right, low, high]) {
+    const [[x, y], [farX, farY]] = [this.place(left, high), this.place(right, low)];
+    c.strokeStyle = colours().good;
+    c.lineWidth = 1.5;
+    c.strokeRect(x, y, farX - x, farY - y);
   }
 
   /** Around the features, in the order of their direction from the middle. */

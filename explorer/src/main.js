@@ -38,7 +38,7 @@ function change(how, final = true) {
   ignored = [];
   const other = next.preset !== state.preset;
   state = next;
-  run();
+  run(!final);
   if (other) compare();
   refresh();
   clearTimeout(addressTimer);
@@ -65,10 +65,11 @@ function goTo(address) {
   ignored = left;
 }
 
-function run() {
+/** Asks for the run of the state: with fewer samples while something is dragged. */
+function run(isDragged = false) {
   if (!runner) return;
   waitTimer ||= setTimeout(wait, LONG);
-  runner.run(drawn(state), { asked: performance.now(), state });
+  runner.run(drawn(state, isDragged), { asked: performance.now(), state });
 }
 
 /** What is shown is of an older state, for longer than one notices. */
@@ -137,6 +138,7 @@ function show() {
   result.shown = shown();
   result.cranks = cranks(of);
   result.stroke = valueOf(of, "robot.stroke");
+  result.step = valueOf(of, "simulation.step");
   result.middle = middles(of, result);
   result.bounds = bounds(of, result.middle);
   result.band = valueOf(of, "metrics.band");
@@ -301,7 +303,10 @@ const scene = new MachineView($("scene"), (shift, phase) => {
     at(0);
   } else if (phase === "move") {
     change((now) => changed(now, "simulation.start.pose", held.map((x, i) => (i < 3 ? Math.round(1e5 * (x + shift[i])) / 1e5 : x))), false);
-  } else writeAddress(true);
+  } else {
+    writeAddress(true);
+    run();
+  }
 });
 const charts = ["errors", "forces", "moments"].map((figure, i) => {
   const chart = new Chart($(`chart-${i}`), figure, pick);

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
 ROOT = Path(__file__).parents[2]
-MOST_ROWS = 800  # that the page draws
+MOST_ROWS = 10000  # that the page draws of a run at rest
 CHROMIUM = shutil.which("chromium")
 PATIENCE = 120e3  # milliseconds: the machine may be busy
 BUILT = (resources.files("hexservo") / "explorer.html").is_file()
@@ -147,8 +147,11 @@ def test_smooth_runs_have_the_numbers_of_the_package(visit: Visit) -> None:
         )
         assert (end["refusal"], end["outcome"], end["rows"]) == (None, run.outcome.name, len(run.time)), (name, law)
         for quantity in ("time", "position", "quaternion", "feature_error"):
-            expected = getattr(run, quantity).ravel()
-            found = np.array(visit.page.evaluate(f"Array.from(explorer.result.samples.{quantity})"))
+            samples = getattr(run, quantity)
+            expected = samples[::10].ravel()
+            width = samples[0].size
+            every_tenth = f"explorer.result.samples.{quantity}.filter((_, i) => Math.floor(i / {width}) % 10 === 0)"
+            found = np.array(visit.page.evaluate(f"Array.from({every_tenth})"))
             difference = float(np.abs(found - expected).max() / np.abs(expected).max())
             assert difference <= 1e-12, (name, law, quantity)
             worst = max(worst, difference)
@@ -175,6 +178,35 @@ def test_packaged_scenarios_end_as_in_the_package(visit: Visit) -> None:
         passed = any(expected[limit.metric] > limit.value for limit in leg_limits(scenario))
         beyond = ", and " if math.isnan(settled) else ", but "
         assert (beyond in visit.page.locator("#verdict").inner_text()) == passed, name
+
+
+@in_browser
+def test_samples_of_a_run_at_rest_are_as_many_as_it_needs(visit: Visit) -> None:
+    """Of a run that ends early, of peaks, of a long run; their distance is stated while a slider is dragged."""
+    page = visit.page
+    few = visit.go("#fails-wrong-sign")["rows"]
+    assert visit.go("#fails-wrong-sign&simulation.duration=20")["rows"] == few
+    assert few > page.evaluate("explorer.result.time / explorer.result.step")
+    peak = visit.go("#rubin-camera-hexapod")["metrics"]["peak_leg_force"]
+    forces = page.evaluate("explorer.result.samples.leg_forces.reduce((most, x) => Math.max(most, Math.abs(x)), 0)")
+    assert forces == pytest.approx(peak, rel=1e-3)
+    spacing = "explorer.result.samples.time[1] - explorer.result.samples.time[0]"
+    visit.go("#paper&simulation.duration=20")
+    assert page.evaluate(spacing) == pytest.approx(0.002)
+    caption = page.locator("figure:has(#chart-0) figcaption")
+    for event, expected, words in (("input", 0.025, "samples 0.025 s apart"), ("change", 0.002, "")):
+        page.evaluate(
+            """event => {
+              explorer.shown = null;
+              const slider = document.querySelector('[data-id="uncertainty.depth"]');
+              slider.value = 510;
+              slider.dispatchEvent(new Event(event));
+            }""",
+            event,
+        )
+        page.wait_for_function("explorer.shown !== null")
+        assert page.evaluate(spacing) == pytest.approx(expected)
+        assert caption.locator("small").last.inner_text() == words
 
 
 @in_browser
