@@ -22,6 +22,9 @@ export const QUANTITIES = [
   "leg_forces",
 ];
 
+/** What a leg may be beyond, in the order of `hexservo_limit`. */
+const LIMITS = ["stroke", "force", "speed", "base_joint", "platform_joint"];
+
 const INTERFACE = 3;
 const MOST_REFUSALS = 300;
 const SCRATCH_BYTES = 65536;
@@ -176,6 +179,16 @@ export class Core {
     return this.text(this.c.hexservo_outcome_name(this.c.hexservo_run_outcome(this.run)));
   }
 
+  /** Limits that legs of a run passed, in the order of first times: limit, leg from 1, first time [s], largest value and what the limit allows [SI]. */
+  events() {
+    return Array.from({ length: this.c.hexservo_run_event_count(this.run) }, (_, i) => {
+      this.c.hexservo_run_event(this.run, i, this.scratch);
+      const [limit, leg] = new Int32Array(this.c.memory.buffer, this.scratch, 2);
+      const [time, peak, most] = this.doubles(this.scratch + 8, 3);
+      return { limit: LIMITS[limit], leg: leg + 1, time, peak, most };
+    });
+  }
+
   /**
    * All that is known of a run, copied out of the module.
    * @param {Record<string, Float64Array>} spare samples of an older run, which are written over where they are as long: new memory takes a millisecond
@@ -209,6 +222,7 @@ export class Core {
       samples,
       scene,
       metrics: this.metricsNow(),
+      events: this.events(),
       outcome: this.outcome(),
       detail: this.text(c.hexservo_run_detail(run)),
       time: c.hexservo_run_time(run),

@@ -1,4 +1,5 @@
 /** The image plane: paths of the features, their goals, which can be dragged, and where they are now. */
+import { isPointOutside } from "./border.js";
 import { short } from "./format.js";
 import { Line, cleared, colours, isShortcut, lineColour, pale, pointIn, ticks } from "./view.js";
 
@@ -21,7 +22,7 @@ export class ImageView {
     canvas.addEventListener("keydown", (event) => this.key(event));
   }
 
-  /** @param {{goals: number[], movable: boolean, samples: object, rows: number, points: number, ghost: object | null}} shown ghost: another run of as many points */
+  /** @param {object} shown a result of the core, with `goals` [px] and whether they are `movable`, `border`: sides of the image [px] or null, and `ghost`: another run of as many points or null */
   show(shown) {
     this.shown = shown;
     if (this.held < 0) this.fit();
@@ -72,6 +73,7 @@ export class ImageView {
     const { ghost } = this.shown;
     if (ghost) this.paths(c, { ...ghost, goals: ghost.scene.goal }, (i) => pale(lineColour(i)));
     this.paths(c, this.shown, lineColour);
+    if (this.shown.border) this.frame(c, this.shown.border);
     c.setLineDash([4, 4]);
     c.strokeStyle = colour.faint;
     c.lineWidth = 1;
@@ -86,9 +88,9 @@ export class ImageView {
       c.strokeRect(start[0] - 4, start[1] - 4, 8, 8);
       c.beginPath();
       c.arc(...now, 4.5, 0, 7);
-      c.fillStyle = lineColour(i);
+      const looks = [lineColour(i), colour.panel];
+      [c.fillStyle, c.strokeStyle] = isPointOutside(this.shown, row, i) ? looks.reverse() : looks;
       c.fill();
-      c.strokeStyle = colour.panel;
       c.lineWidth = 1.5;
       c.stroke();
       c.strokeStyle = lineColour(i);

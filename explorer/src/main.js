@@ -1,10 +1,12 @@
 /** The page: a state, the run of it, and what is drawn of that. */
+import { borderOf, firstOutside, hasLens, inWords } from "./border.js";
 import { Chart, FIGURES } from "./charts.js";
 import { Controls, KeyList, element } from "./controls.js";
 import { Runner } from "./engine.js";
 import { short, withUnit } from "./format.js";
+import { Happenings } from "./happenings.js";
 import { ImageView } from "./image.js";
-import { bounds, middles, passedLimits, unitOfMetric } from "./limits.js";
+import { bounds, happenings, middles, passedLimits, unitOfMetric } from "./limits.js";
 import { ParameterMap } from "./map.js";
 import { changed, drawn, full, groups, laws, metrics, presetOf, presets, readAddress, start, textOf, toAddress, toYaml, valueOf, version } from "./model.js";
 import { endsAt, targetAt } from "./machine.js";
@@ -136,10 +138,12 @@ function show() {
   const mass = valueOf(of, "robot.mass") + (valueOf(of, "robot.payload.known") ? valueOf(of, "robot.payload.mass") : 0);
   result.weight = gravity.map((g) => -mass * g);
   result.shown = shown();
+  result.step = valueOf(of, "simulation.step");
   result.cranks = cranks(of);
   result.stroke = valueOf(of, "robot.stroke");
-  result.step = valueOf(of, "simulation.step");
   result.middle = middles(of, result);
+  result.border = borderOf(of);
+  write($("border"), result.border ? "green: border" : "");
   result.bounds = bounds(of, result.middle);
   result.band = valueOf(of, "metrics.band");
   result.ghost = ghost();
@@ -148,6 +152,7 @@ function show() {
   image.show({ ...result, goals: result.scene.goal, movable: pixelsAreFeatures(of) });
   scene.show(result, down.map((g) => -g));
   for (const chart of charts) chart.show(result);
+  happened.show(happenings(of, result, firstOutside(result)));
   at(share);
   verdict();
   table();
@@ -161,8 +166,7 @@ function cranks(of) {
 }
 
 /** Whether the camera's pixels are what its pinhole would have: only then a goal can be dragged to one. */
-const pixelsAreFeatures = (of) =>
-  valueOf(of, "camera.principal_point") === null && ["brown_conrady", "kannala_brandt"].every((lens) => [valueOf(of, `camera.distortion.${lens}`) ?? 0].flat().every((number) => number === 0));
+const pixelsAreFeatures = (of) => valueOf(of, "camera.principal_point") === null && !hasLens(of);
 
 /** Time up to which charts go [s]: all of it, or three times what settling takes, on a scale of 1, 2, 5. */
 function shown() {
@@ -189,10 +193,11 @@ function at(next) {
 // --- words and numbers
 
 /** How a run of a state went: good, bad or warn, and a sentence, at whose end is what it does beyond the limits of the legs. */
-function ending(of, { outcome, metrics: values, time, detail, ...rest }) {
-  if (outcome !== "completed") return ["bad", `Ends early, ${outcome.replaceAll("_", " ")}${detail ? `: ${detail}` : ""}`];
-  const passed = passedLimits(of, { metrics: values, ...rest });
-  const beyond = passed.join(", ");
+function ending(of, run) {
+  const { outcome, metrics: values, time, detail } = run;
+  const outside = firstOutside({ ...run, border: borderOf(of) });
+  const beyond = [...(outside ? [inWords(outside)] : []), ...passedLimits(of, run)].join(", ");
+  if (outcome !== "completed") return ["bad", `Ends early, ${outcome.replaceAll("_", " ")}${detail ? `: ${detail}` : ""}${beyond && `; before that ${beyond}`}`];
   const band = withUnit(valueOf(of, "metrics.band"), "px");
   if (Number.isNaN(values.settling_time)) return ["warn", `Does not settle: ${withUnit(values.final_error, "px")} from the goal after ${withUnit(time, "s")}${beyond && `, and ${beyond}`}`];
   return [beyond ? "warn" : "good", `Settles within ${band} at ${withUnit(values.settling_time, "s")}${beyond && `, but ${beyond}`}`];
@@ -319,6 +324,7 @@ const charts = ["errors", "forces", "moments"].map((figure, i) => {
   });
   return chart;
 });
+const happened = new Happenings($("happenings"), pick);
 const controls = new Controls($("controls"), change);
 const keyList = new KeyList($("keys"), $("search"), change);
 const map = new ParameterMap($("map"), change);

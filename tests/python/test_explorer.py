@@ -500,7 +500,7 @@ def test_the_target_is_drawn_where_it_is(visit: Visit, name: str, kind: str) -> 
 
 @in_browser
 def test_a_run_beyond_a_limit_of_the_legs_is_not_called_good(visit: Visit) -> None:
-    """The sentence has the first event of the package, and legs beyond their stroke have the colour of a warning."""
+    """The sentence has the events of the package, and legs beyond their stroke have the colour of a warning."""
     page = visit.page
     warned = """() => {
       const rgb = document.createElement('i');
@@ -515,21 +515,49 @@ def test_a_run_beyond_a_limit_of_the_legs_is_not_called_good(visit: Visit) -> No
     visit.go("#paper")
     assert page.locator("#verdict").get_attribute("class") == "verdict good"
     assert page.evaluate(warned) == 0
-    visit.go("#fails-unequal-depth")
-    first = hs.simulate(hs.load_scenario("fails-unequal-depth")).events[0]
-    words = page.locator("#verdict").inner_text()
-    said = re.search(r", but leg (\d) passes its stroke of 17 mm at ([\d.]+) s$", words)
-    assert said is not None, words
-    assert int(said[1]) == first.leg
-    assert float(said[2]) == pytest.approx(first.time, abs=0.005)
-    assert page.locator("#verdict").get_attribute("class") == "verdict warn"
-    assert page.evaluate(warned) > 0
+    for name, duration in (("fails-unequal-depth", None), ("fails-gravity", None), ("fails-gravity", 20)):
+        changes = {} if duration is None else {"simulation.duration": duration}
+        visit.go("&".join([f"#{name}", *(f"{key}={value}" for key, value in changes.items())]))
+        first = hs.simulate(hs.load_scenario(name).updated(changes)).events[0]
+        words = page.locator("#verdict").inner_text()
+        said = re.search(r", (?:but|and) leg (\d) passes its stroke of 17 mm at ([\d.]+) s", words)
+        assert said is not None, words
+        assert (first.kind, int(said[1])) == ("stroke", first.leg)
+        assert float(said[2]) == pytest.approx(first.time, rel=1e-4)
+        assert page.locator("#verdict").get_attribute("class") == "verdict warn"
+        assert page.evaluate(warned) > 0, name
     visit.go("#paper&robot.force_limit=0.05")
-    assert "but a leg takes a force of" in page.locator("#verdict").inner_text()
+    worst = max(
+        hs.simulate(hs.load_scenario("paper").updated({"robot.force_limit": 0.05})).events, key=lambda event: event.peak
+    )
+    assert f"but leg {worst.leg} takes a force of {worst.peak:.4g} N of 0.05 N" in page.locator("#verdict").inner_text()
     visit.go("#reachy-mini&robot.stroke=0.1")
     assert re.search(
         r"Does not settle: .*, and leg \d passes its stroke of 5\.73°? at", page.locator("#verdict").inner_text()
     )
+
+
+@in_browser
+def test_a_run_that_ends_early_tells_the_limits_that_it_passed(visit: Visit) -> None:
+    """In the sentence, and in the line of what happened, each item of which shows its time."""
+    page = visit.page
+    visit.go("#fails-wrong-sign")
+    events = hs.simulate(hs.load_scenario("fails-wrong-sign")).events
+    words = page.locator("#verdict").inner_text()
+    assert words.startswith("Ends early, diverged")
+    assert "; before that leg " in words
+    assert " passes its stroke of 17 mm at 0.02" in words
+    items = page.locator("#happenings button:visible")
+    told = items.all_inner_texts()
+    first = {event.kind: event for event in reversed(events)}
+    kinds = sorted(first, key=lambda kind: first[kind].time)
+    assert [float(item.split()[0]) for item in told[:-1]] == pytest.approx([first[kind].time for kind in kinds])
+    assert f"stroke of leg {first['stroke'].leg}, and " in told[kinds.index("stroke")]
+    assert told[-1].endswith("diverged")
+    items.nth(kinds.index("stroke")).click()
+    assert float(page.locator("#now").inner_text().split()[0]) == pytest.approx(first["stroke"].time, abs=0.0011)
+    visit.go("#paper")
+    assert items.all_inner_texts() == ["0.353 s settles", "5 s end"]
 
 
 # Colours [r, g, b, a] at places of a canvas: of a chart (time [s], value [unit of the chart]), or of the image [px].
@@ -561,10 +589,12 @@ def scale_of(page: Page, chart: int) -> tuple[float, float]:
     return low, high
 
 
+NAMED = "name => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim()"  # a colour's text
+
+
 def rgb(page: Page, name: str) -> list[int]:
     """Return a colour of the page by its name."""
-    style = "name => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim()"
-    return [int(page.evaluate(style, name)[i : i + 2], 16) for i in (1, 3, 5)]
+    return [int(page.evaluate(NAMED, name)[i : i + 2], 16) for i in (1, 3, 5)]
 
 
 @in_browser
@@ -697,6 +727,75 @@ DISCS = """colours => colours.map(colour => {
   const disc = document.querySelector(`#scene circle[fill="${fill}"]`);
   return disc.getAttribute("transform").match(/-?[0-9][0-9.e-]*/g).map(Number);
 })"""
+
+
+@in_browser
+def test_the_border_of_the_image_is_drawn_and_what_is_outside_is_told(visit: Visit) -> None:
+    """Among features, wherever the principal point is; the camera has a field of view where its image has a border."""
+    page = visit.page
+    pyramids = "[...document.querySelectorAll('#scene path')].filter(path => path.style.fillOpacity === '0.1').length"
+    visit.go("#paper")
+    assert page.evaluate("explorer.result.border") is None
+    assert page.evaluate(pyramids) == 0
+    visit.go("#fails-lost-features")
+    assert page.evaluate(pyramids) > 0
+    assert page.evaluate("explorer.result.border") == [-68, 68, -68, 68]
+    on, beside = image_colours(page, [(68, 5), (66, 5)])
+    assert on[:3] == pytest.approx(rgb(page, "good"), abs=10)
+    assert beside[:3] != pytest.approx(rgb(page, "good"), abs=10)
+    run = hs.simulate(hs.load_scenario("fails-lost-features"))
+    outside = np.abs(run.features).reshape(len(run.time), -1, 2).max(axis=2) > 68
+    row = int(np.argmax(outside.any(axis=1)))
+    words = f"point {int(np.argmax(outside[row])) + 1} leaves the image at {run.time[row]:.4g} s"
+    assert words in page.locator("#verdict").inner_text()
+    assert "warn" in str(page.locator("#verdict").get_attribute("class"))
+    assert any("outside of the image" in item for item in page.locator("#happenings button").all_inner_texts())
+    _, _, paths = features(page, "result")
+    now = paths[-1].reshape(-1, 2)
+    found = image_colours(page, now.tolist())
+    for i, place in enumerate(now):
+        expected = "panel" if np.abs(place).max() > 68 else f"c{i}"
+        assert found[i][:3] == rgb(page, expected), i
+        discs = page.locator(f"#scene circle[stroke='{page.evaluate(NAMED, f'c{i}')}']").count()
+        assert discs == (expected == "panel"), i
+    for name, change in (("eye-to-hand", {}), ("reachy-mini", {"camera.focal_pixels": [150.0, 160.0]})):
+        scenario = hs.load_scenario(name).updated(change)
+        visit.go("&".join([f"#{name}", *(f"{key}={','.join(map(str, value))}" for key, value in change.items())]))
+        run = hs.simulate(scenario)
+        pixels, seen = (np.reshape(values, (-1, 2)) for values in (run.pixels, run.features))
+        edges = np.array([[-0.5, -0.5], np.asarray(scenario.camera.image_size) - 0.5])
+        (left, high), (right, low) = np.transpose(
+            [np.polyval(np.polyfit(pixels[:, k], seen[:, k], 1), edges[:, k]) for k in (0, 1)]
+        )
+        assert page.evaluate("explorer.result.border") == pytest.approx([left, right, low, high], rel=1e-6), name
+    visit.go("#real-machine&camera.distortion.brown_conrady=-0.1,0,0,0,0")
+    assert page.evaluate("explorer.result.border") is None, "a lens bends it"
+
+
+@in_browser
+def test_a_platform_that_goes_away_is_kept_in_view_or_told_of(visit: Visit) -> None:
+    page = visit.page
+    note = page.locator("#scene p")
+
+    def height() -> tuple[float, float]:
+        """Place of the camera on the platform, of the view's height from its middle; and the view's height."""
+        box = page.locator("#scene").bounding_box()
+        assert box is not None
+        return page.evaluate(DISCS, ["good"])[0][1], box["height"]
+
+    visit.go("#paper&uncertainty.gravity=0.2&simulation.duration=0.3")
+    assert page.evaluate("explorer.result.samples.position.at(-1) - explorer.result.samples.position[2]") < -0.05
+    at, whole = height()
+    assert abs(at) < whole / 2
+    assert note.inner_text() == ""
+    visit.go("#paper&uncertainty.gravity=0.2")
+    place = np.array(page.evaluate("Array.from(explorer.result.samples.position)")).reshape(-1, 3)
+    away = float(np.linalg.norm(place[-1] - place[0]))
+    assert note.inner_text() == f"platform {away:.2g} m away, out of view"
+    at, whole = height()
+    assert abs(at) > whole / 2
+    page.locator("#happenings button").first.click()
+    assert note.inner_text() == ""
 
 
 @in_browser
