@@ -353,6 +353,9 @@ matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => resu
 matchMedia("print").addEventListener("change", () => result && at(share));
 for (const name of ["focus", "blur"]) $("image").addEventListener(name, () => result && at(share));
 
+new ResizeObserver(([{ target }]) => document.documentElement.style.setProperty("--words", `${target.getBoundingClientRect().height}px`)).observe($("words"));
+$("verdict").addEventListener("click", () => $("words").classList.toggle("whole")); // where a phone cuts it
+
 // --- out of the page
 
 async function copied(text, button) {

@@ -1459,6 +1459,37 @@ def test_a_phone_scrolls_in_one_direction_and_names_all_its_controls(browser: Br
 
 
 @in_browser
+@pytest.mark.parametrize(("width", "height"), [(1280, 720), (390, 844)])
+def test_the_outcome_stays_in_view_and_covers_no_control(browser: Browser, file: Path, width: int, height: int) -> None:
+    visit = Visit(browser, file, "#fails-gravity", viewport={"width": width, "height": height})
+    page = visit.page
+    top = "name => document.querySelector(name).getBoundingClientRect().top"
+    below = "document.querySelector('.words').getBoundingClientRect().bottom"
+    page.evaluate("scrollTo(0, document.body.scrollHeight)")
+    assert page.evaluate(top, "#verdict") >= 0
+    assert page.evaluate(below) <= 56
+    assert page.evaluate(top, "#controls" if width > 800 else ".views") >= page.evaluate(below)
+    slider = page.locator('[data-id="uncertainty.depth"]')
+    slider.evaluate("slider => slider.scrollIntoView()")
+    slider.press("ArrowRight")
+    page.wait_for_function("explorer.shown.includes('depth')")
+    box = slider.bounding_box()
+    assert box is not None
+    on_top = "([x, y]) => document.elementFromPoint(x, y).dataset.id"
+    assert page.evaluate(on_top, [box["x"] + 5, box["y"] + 8]) == "uncertainty.depth"
+    assert visit.problems == []
+    visit.context.close()
+
+
+@in_browser
+def test_a_page_without_room_for_the_machine_draws_none(browser: Browser, file: Path) -> None:
+    visit = Visit(browser, file, viewport={"width": 40, "height": 400})
+    assert visit.page.locator("#scene").evaluate("view => view.clientWidth") == 0
+    assert visit.problems == []
+    visit.context.close()
+
+
+@in_browser
 def test_lines_of_a_point_have_its_colour_in_the_image(visit: Visit) -> None:
     """Of each of five points x and y, and its depth; of nine the last one's have the first colour and other dashes."""
     page = visit.page
