@@ -121,11 +121,11 @@ export class ImageView {
   }
 
   /** Where a feature went: a line for each piece of way that can be seen, and to what was the last finite place. */
-  path(c, { goals, samples, rows, points }, point) {
+  path(c, { goals, samples, rows, points, stride = 1 }, point) {
     const errors = samples.feature_error;
     const [goalX, goalY] = this.place(goals[2 * point], goals[2 * point + 1]);
     const line = new Line(c);
-    for (let at = 2 * point; at < 2 * points * rows; at += 2 * points) line.to(goalX - this.scale * errors[at], goalY + this.scale * errors[at + 1]);
+    for (let at = 2 * point; at < 2 * points * rows; at += 2 * points * stride) line.to(goalX - this.scale * errors[at], goalY + this.scale * errors[at + 1]);
     line.end();
   }
 

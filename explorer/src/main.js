@@ -206,10 +206,12 @@ function ending(of, run) {
 /** The preset's run where what is shown is a run of that preset, else null. */
 const itsPreset = () => (reference?.state.preset === result.state.preset ? reference : null);
 
-/** The preset's run where it is another one than what is shown, and its features are as many. */
+/** The preset's run where it is another one than what is shown, and its features are as many; `stride`: samples from one that is drawn to the next. */
 function ghost() {
   const preset = itsPreset();
-  return preset && isChanged() && preset.points === result.points ? preset : null;
+  if (!preset || !isChanged() || preset.points !== result.points) return null;
+  const [own, other] = [result, preset].map(({ samples: { time } }) => time[1] - time[0]);
+  return { ...preset, stride: Math.max(1, Math.round(own / other) || 1) }; // two runs that are compared are sampled alike
 }
 
 const isChanged = () => Object.keys(result.state.changes).length > 0;

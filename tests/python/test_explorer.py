@@ -206,6 +206,8 @@ def test_samples_of_a_run_at_rest_are_as_many_as_it_needs(visit: Visit) -> None:
         )
         page.wait_for_function("explorer.shown !== null")
         assert page.evaluate(spacing) == pytest.approx(expected)
+        apart = page.evaluate("explorer.result.ghost.stride * explorer.result.ghost.samples.time[1]")
+        assert apart == pytest.approx(expected), "what is pale is drawn as coarse"
         assert caption.locator("small").last.inner_text() == words
 
 
