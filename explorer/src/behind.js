@@ -1,6 +1,6 @@
 /** What a chart has behind its curves: the settling band and the settling time, limits of the legs, and the preset's errors. */
 import { withUnit } from "./format.js";
-import { colours, lineColour, pale } from "./view.js";
+import { Line, colours, lineColour, pale } from "./view.js";
 
 const FAINTER = 0.15; // a band beside a line of its colour
 const FONT = 11; // pixels
@@ -20,10 +20,10 @@ function within(plot, draw) {
 
 /**
  * Errors of another run, pale, as far as the plot's time goes.
- * @param {{rows: number, points: number, samples: {time: Float64Array, feature_error: Float64Array}}} run
+ * @param {{rows: number, points: number, stride: number, samples: {time: Float64Array, feature_error: Float64Array}}} run stride: from one sample that is drawn to the next
  * @param {Array<{stroke: string, dash?: number[]}>} looks of its curves
  */
-export function drawErrors(plot, { rows, points, samples }, looks) {
+export function drawErrors(plot, { rows, points, stride, samples }, looks) {
   const { time, feature_error: errors } = samples;
   const [left, top] = [plot.valToPos(0, "x", true), plot.valToPos(0, "y", true)];
   const [right, up] = [plot.valToPos(1, "x", true) - left, plot.valToPos(1, "y", true) - top]; // of a second, and of a pixel of the image
@@ -35,7 +35,9 @@ export function drawErrors(plot, { rows, points, samples }, looks) {
       ctx.lineWidth = 1.4 * size;
       ctx.setLineDash(dash.map((length) => length * size));
       ctx.beginPath();
-      for (let k = 0; k <= last; ++k) ctx.lineTo(left + right * time[k], top + up * errors[2 * points * k + j]);
+      const line = new Line(ctx);
+      for (let k = 0; k <= last; k += stride) line.to(left + right * time[k], top + up * errors[2 * points * k + j]);
+      line.end();
       ctx.stroke();
     });
   });

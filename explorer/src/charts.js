@@ -2,9 +2,10 @@
 import uPlot from "uplot";
 import { drawBounds, drawErrors, drawSettling } from "./behind.js";
 import { element } from "./controls.js";
-import { axisNumber, readable, short } from "./format.js";
+import { axisNumber, readable, short, withUnit } from "./format.js";
 import { colours, lookOf, strip, write } from "./view.js";
 
+const WIDEST_GAP = 3; // pixels between two samples, above which their distance is stated
 const AXES = ["x", "y", "z", "about x", "about y", "about z"];
 const legs = (_, i) => `leg ${i + 1}`;
 const names = (list) => (_, i) => list[i];
@@ -36,7 +37,8 @@ export class Chart {
     this.now = 0;
     this.row = 0;
     this.note = element("small", { class: "ghost" }, "pale: the preset");
-    box.parentElement.querySelector("figcaption").append(this.note);
+    this.spacing = element("small");
+    box.parentElement.querySelector("figcaption").append(this.note, this.spacing);
     new ResizeObserver(() => this.plot?.setSize(this.size())).observe(box);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
       this.count = -1;
@@ -56,7 +58,7 @@ export class Chart {
 
   /**
    * @param {object} result of the core, with `weight` (3,) [N in B], `cranks` of rotary legs, `band` of settling [px], `bounds` of the
-   * legs by quantity [SI], `ghost`, a run of as many points that is drawn pale, or null, and `shown`, the time up to which it is drawn [s]
+   * legs by quantity [SI], `step` of the run [s], `ghost`, a run of as many points that is drawn pale, or null, and `shown`, the time up to which it is drawn [s]
    */
   show(result) {
     this.result = result;
@@ -77,6 +79,14 @@ export class Chart {
     const data = [result.samples.time, ...columns];
     if (this.count === columns.length) this.plot.setData(data);
     else this.build(data);
+  }
+
+  /** How far apart samples are, where lines between them may leave out what was there; "" where every step is drawn, or no gap is to be seen. */
+  gaps(plot) {
+    const { samples: { time }, rows, step, shown } = this.result;
+    const apart = rows > 2 ? time[1] - time[0] : 0;
+    const pixels = (apart / shown) * (plot.bbox.width / devicePixelRatio);
+    return apart > 1.5 * step && pixels > WIDEST_GAP ? `samples ${withUnit(apart, "s", 2)} apart` : "";
   }
 
   build(data) {
@@ -126,6 +136,7 @@ export class Chart {
 
   behind(plot) {
     const { quantity, isOfErrors } = FIGURES[this.figure];
+    write(this.spacing, this.gaps(plot));
     if (isOfErrors && this.result.ghost) drawErrors(plot, this.result.ghost, this.looks);
     if (isOfErrors) drawSettling(plot, this.result);
     const scale = readable(this.unit)[1];

@@ -22,6 +22,9 @@ export const QUANTITIES = [
   "leg_forces",
 ];
 
+/** What a leg may be beyond, in the order of `hexservo_limit`. */
+const LIMITS = ["stroke", "force", "speed", "base_joint", "platform_joint"];
+
 const INTERFACE = 3;
 const MOST_REFUSALS = 300;
 const SCRATCH_BYTES = 65536;
@@ -156,9 +159,9 @@ export class Core {
     this.run = new Uint32Array(this.c.memory.buffer, place, 1)[0];
   }
 
-  /** Goes on by so many steps, to the end without a number; returns whether the run goes on still. */
+  /** Goes on by so many steps, to the end without a number; returns whether the run goes on still. `taken` are the steps since the start. */
   advance(steps = -1) {
-    this.c.hexservo_run_advance(this.run, BigInt(steps));
+    this.taken = Number(this.c.hexservo_run_advance(this.run, BigInt(steps)));
     return this.c.hexservo_run_outcome(this.run) < 0;
   }
 
@@ -174,6 +177,16 @@ export class Core {
 
   outcome() {
     return this.text(this.c.hexservo_outcome_name(this.c.hexservo_run_outcome(this.run)));
+  }
+
+  /** Limits that legs of a run passed, in the order of first times: limit, leg from 1, first time [s], largest value and what the limit allows [SI]. */
+  events() {
+    return Array.from({ length: this.c.hexservo_run_event_count(this.run) }, (_, i) => {
+      this.c.hexservo_run_event(this.run, i, this.scratch);
+      const [limit, leg] = new Int32Array(this.c.memory.buffer, this.scratch, 2);
+      const [time, peak, most] = this.doubles(this.scratch + 8, 3);
+      return { limit: LIMITS[limit], leg: leg + 1, time, peak, most };
+    });
   }
 
   /**
@@ -209,6 +222,7 @@ export class Core {
       samples,
       scene,
       metrics: this.metricsNow(),
+      events: this.events(),
       outcome: this.outcome(),
       detail: this.text(c.hexservo_run_detail(run)),
       time: c.hexservo_run_time(run),

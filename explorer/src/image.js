@@ -1,10 +1,10 @@
 /** The image plane: paths of the features, their goals, which can be dragged, and where they are now. */
+import { isPointOutside } from "./imageborder.js";
 import { short } from "./format.js";
-import { cleared, colours, isShortcut, lineColour, pale, pointIn, ticks } from "./view.js";
+import { Line, cleared, colours, isShortcut, lineColour, pale, pointIn, ticks } from "./view.js";
 
 const NEAR = 22; // pixels within which a goal is taken
 const PAD = 34;
-const FINE = 0.3; // pixels that a path may be longer or shorter for being drawn with fewer lines
 
 export class ImageView {
   /**
@@ -22,7 +22,7 @@ export class ImageView {
     canvas.addEventListener("keydown", (event) => this.key(event));
   }
 
-  /** @param {{goals: number[], movable: boolean, samples: object, rows: number, points: number, ghost: object | null}} shown ghost: another run of as many points */
+  /** @param {object} shown a result of the core, with `goals` [px] and whether they are `movable`, `border`: sides of the image [px] or null, and `ghost`: another run of as many points or null */
   show(shown) {
     this.shown = shown;
     if (this.held < 0) this.fit();
@@ -73,6 +73,7 @@ export class ImageView {
     const { ghost } = this.shown;
     if (ghost) this.paths(c, { ...ghost, goals: ghost.scene.goal }, (i) => pale(lineColour(i)));
     this.paths(c, this.shown, lineColour);
+    if (this.shown.border) this.frame(c, this.shown.border);
     c.setLineDash([4, 4]);
     c.strokeStyle = colour.faint;
     c.lineWidth = 1;
@@ -87,9 +88,9 @@ export class ImageView {
       c.strokeRect(start[0] - 4, start[1] - 4, 8, 8);
       c.beginPath();
       c.arc(...now, 4.5, 0, 7);
-      c.fillStyle = lineColour(i);
+      const looks = [lineColour(i), colour.panel];
+      [c.fillStyle, c.strokeStyle] = isPointOutside(this.shown, row, i) ? looks.reverse() : looks;
       c.fill();
-      c.strokeStyle = colour.panel;
       c.lineWidth = 1.5;
       c.stroke();
       c.strokeStyle = lineColour(i);
@@ -120,19 +121,20 @@ export class ImageView {
   }
 
   /** Where a feature went: a line for each piece of way that can be seen, and to what was the last finite place. */
-  path(c, { goals, samples, rows, points }, point) {
+  path(c, { goals, samples, rows, points, stride = 1 }, point) {
     const errors = samples.feature_error;
     const [goalX, goalY] = this.place(goals[2 * point], goals[2 * point + 1]);
-    let [x, y, drawnX, drawnY] = [NaN, NaN, NaN, NaN];
-    for (let at = 2 * point; at < 2 * points * rows; at += 2 * points) {
-      const [nextX, nextY] = [goalX - this.scale * errors[at], goalY + this.scale * errors[at + 1]];
-      if (!Number.isFinite(nextX + nextY)) continue;
-      [x, y] = [nextX, nextY];
-      if (Math.abs(x - drawnX) + Math.abs(y - drawnY) < FINE) continue;
-      c.lineTo(x, y);
-      [drawnX, drawnY] = [x, y];
-    }
-    if (Number.isFinite(x)) c.lineTo(x, y);
+    const line = new Line(c);
+    for (let at = 2 * point; at < 2 * points * rows; at += 2 * points * stride) line.to(goalX - this.scale * errors[at], goalY + this.scale * errors[at + 1]);
+    line.end();
+  }
+
+  /** The border of the camera's image. */
+  frame(c, [left, right, low, high]) {
+    const [[x, y], [farX, farY]] = [this.place(left, high), this.place(right, low)];
+    c.strokeStyle = colours().good;
+    c.lineWidth = 1.5;
+    c.strokeRect(x, y, farX - x, farY - y);
   }
 
   /** Around the features, in the order of their direction from the middle. */

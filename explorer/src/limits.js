@@ -8,18 +8,17 @@ const ROTARY_UNITS = { m: "rad", "m/s": "rad/s", N: "N m" };
 /** Unit of a metric: those of rotary legs are angles and torques. */
 export const unitOfMetric = (state, { name, unit }) => (valueOf(state, "robot.legs") === "rotary" && name.startsWith("peak_leg_") ? ROTARY_UNITS[unit] : unit);
 
-/** Limits that the robot of a state has: metric, largest value [SI], and what a leg does beyond it. */
-function limits(state) {
-  const [base, platform] = valueOf(state, "robot.joint_limit") ?? [null, null];
-  const effort = valueOf(state, "robot.legs") === "rotary" ? "torque" : "force";
-  return [
-    { name: "peak_leg_excursion", unit: "m", most: valueOf(state, "robot.stroke"), does: "travels" },
-    { name: "peak_leg_force", unit: "N", most: valueOf(state, "robot.force_limit"), does: `takes a ${effort} of` },
-    { name: "peak_leg_speed", unit: "m/s", most: valueOf(state, "robot.speed_limit"), does: "moves at" },
-    { name: "peak_base_joint", unit: "rad", most: base, does: "tilts at the base by" },
-    { name: "peak_platform_joint", unit: "rad", most: platform, does: "tilts at the platform by" },
-  ].filter(({ most }) => most !== null);
-}
+/** Limits of the core: metric that has the largest value, its unit, what a leg beyond it does where that is told with the largest value, and how the event is called. */
+const LIMITS = {
+  stroke: { name: "peak_leg_excursion", unit: "m", called: "stroke" },
+  force: { name: "peak_leg_force", unit: "N", does: "takes a force of", called: "force limit" },
+  torque: { name: "peak_leg_force", unit: "N", does: "takes a torque of", called: "torque limit" },
+  speed: { name: "peak_leg_speed", unit: "m/s", does: "moves at", called: "speed limit" },
+  base_joint: { name: "peak_base_joint", unit: "rad", does: "tilts at the base by", called: "tilt at the base" },
+  platform_joint: { name: "peak_platform_joint", unit: "rad", does: "tilts at the platform by", called: "tilt at the platform" },
+};
+
+const limitOf = (state, limit) => LIMITS[limit === "force" && valueOf(state, "robot.legs") === "rotary" ? "torque" : limit];
 
 /**
  * Lengths of the legs, or angles of their cranks, in the middle of the stroke [m or rad], (6,). Angles at home are those
@@ -63,33 +62,41 @@ const travel = ({ samples, middle }, row, leg) => Math.abs(samples.leg_lengths[6
 /** Which legs are beyond their stroke at a sample; none where the middle of it is not known. */
 export const legsBeyond = (result, row) => (result.middle ? LEGS.filter((leg) => travel(result, row, leg) > result.stroke) : []);
 
-/** The first leg beyond its stroke, from 1, and when [s], between two samples; null where no sample is beyond. */
-function firstBeyond(result) {
-  const { rows, samples, stroke } = result;
-  for (let row = 0; row < rows; ++row) {
-    const [leg] = legsBeyond(result, row);
-    if (leg === undefined) continue;
-    if (row === 0) return { leg: leg + 1, time: samples.time[0] };
-    const [before, after] = [row - 1, row].map((at) => travel(result, at, leg));
-    const share = (stroke - before) / (after - before);
-    return { leg: leg + 1, time: samples.time[row - 1] + share * (samples.time[row] - samples.time[row - 1]) };
-  }
-  return null;
+/** Whether a run of a state, of which the metrics are known, is beyond one of its limits. */
+export function isBeyondLimits(state, values) {
+  const [base, platform] = valueOf(state, "robot.joint_limit") ?? [null, null];
+  const [stroke, force, speed] = ["stroke", "force_limit", "speed_limit"].map((name) => valueOf(state, `robot.${name}`));
+  const most = { stroke, force, speed, base_joint: base, platform_joint: platform };
+  return Object.entries(most).some(([limit, value]) => value !== null && values[LIMITS[limit].name] > value);
 }
 
-/** Whether a run of a state is beyond one of its limits. */
-export const isBeyondLimits = (state, values) => limits(state).some(({ name, most }) => values[name] > most);
+/** Events of each limit that legs of a run passed, in the order of the first ones. */
+const byLimit = ({ events }) => [...new Set(events.map(({ limit }) => limit))].map((limit) => events.filter((event) => event.limit === limit));
+
+/** The limits that a run of a state passes, as clauses that follow "but"; empty where it passes none. */
+export function passedLimits(state, run) {
+  return byLimit(run).map((events) => {
+    const limit = limitOf(state, events[0].limit);
+    const inWords = (value) => withUnit(value, unitOfMetric(state, limit));
+    const [first] = events;
+    if (limit === LIMITS.stroke) return `leg ${first.leg} passes its stroke of ${inWords(first.most)} at ${withUnit(first.time, "s")}`;
+    const worst = events.reduce((one, other) => (other.peak > one.peak ? other : one));
+    return `leg ${worst.leg} ${limit.does} ${inWords(worst.peak)} of ${inWords(worst.most)}`;
+  });
+}
 
 /**
- * The limits that a run passes, as clauses that follow "but"; empty where it passes none.
- * @param {object} state
- * @param {object} result of the core, with `stroke` and `middle` of the legs where its samples are to be searched
+ * What happened in a run of a state, and when [s], in that order: limits that legs passed, a point that left the image, that it settled, its end.
+ * @param {{point: number, time: number} | null} outside the first point outside of the image, from 1
  */
-export function passedLimits(state, result) {
-  const passed = limits(state).filter(({ name, most }) => result.metrics[name] > most);
-  return passed.map((limit) => {
-    const [peak, most] = [result.metrics[limit.name], limit.most].map((value) => withUnit(value, unitOfMetric(state, limit)));
-    const first = limit.name === "peak_leg_excursion" && result.middle ? firstBeyond(result) : null;
-    return first ? `leg ${first.leg} passes its stroke of ${most} at ${withUnit(first.time, "s", 3)}` : `a leg ${limit.does} ${peak} of ${most}`;
+export function happenings(state, run, outside) {
+  const limits = byLimit(run).map(([{ limit, leg, time }, ...more]) => {
+    const others = more.length ? `, and ${more.length} more` : "";
+    return { time, kind: "warn", words: `${limitOf(state, limit).called} of leg ${leg}${others}` };
   });
+  const isEarly = run.outcome !== "completed";
+  const settles = isEarly || Number.isNaN(run.metrics.settling_time) ? [] : [{ time: run.metrics.settling_time, kind: "good", words: "settles" }];
+  const end = { time: run.time, kind: isEarly ? "bad" : "", words: isEarly ? run.outcome.replaceAll("_", " ") : "end" };
+  const leaves = outside ? [{ time: outside.time, kind: "warn", words: `point ${outside.point} outside of the image` }] : [];
+  return [...limits, ...leaves, ...settles].sort((one, other) => one.time - other.time).concat(end);
 }

@@ -1,11 +1,13 @@
 /** The page: a state, the run of it, and what is drawn of that. */
 import { incomparable, isSameRun, pinnedLabel, referenceOf } from "./against.js";
+import { borderOf, firstOutside, hasLens, inWords } from "./imageborder.js";
 import { Chart, FIGURES } from "./charts.js";
 import { Controls, KeyList, element } from "./controls.js";
 import { Runner } from "./engine.js";
 import { short, withUnit } from "./format.js";
+import { Happenings } from "./happenings.js";
 import { ImageView } from "./image.js";
-import { bounds, middles, passedLimits, unitOfMetric } from "./limits.js";
+import { bounds, happenings, middles, passedLimits, unitOfMetric } from "./limits.js";
 import { ParameterMap } from "./map.js";
 import { actingChanges, changed, drawn, full, groups, laws, metrics, presetOf, presets, readAddress, same, start, textOf, toAddress, toYaml, valueOf, version } from "./model.js";
 import { endsAt, targetAt } from "./machine.js";
@@ -39,7 +41,7 @@ function change(how, final = true) {
   ignored = [];
   const other = !same(referenceOf(next), referenceOf(state));
   state = next;
-  run();
+  run(!final);
   if (other) compare();
   refresh();
   clearTimeout(addressTimer);
@@ -66,10 +68,11 @@ function goTo(address) {
   ignored = left;
 }
 
-function run() {
+/** Asks for the run of the state: with fewer samples while something is dragged. */
+function run(isDragged = false) {
   if (!runner) return;
   waitTimer ||= setTimeout(wait, LONG);
-  runner.run(drawn(state), { asked: performance.now(), state });
+  runner.run(drawn(state, isDragged), { asked: performance.now(), state });
 }
 
 /** What is shown is of an older state, for longer than one notices. */
@@ -137,9 +140,12 @@ function show() {
   const mass = valueOf(of, "robot.mass") + (valueOf(of, "robot.payload.known") ? valueOf(of, "robot.payload.mass") : 0);
   result.weight = gravity.map((g) => -mass * g);
   result.shown = shown();
+  result.step = valueOf(of, "simulation.step");
   result.cranks = cranks(of);
   result.stroke = valueOf(of, "robot.stroke");
   result.middle = middles(of, result);
+  result.border = borderOf(of);
+  write($("border"), result.border ? "green: border" : "");
   result.bounds = bounds(of, result.middle);
   result.band = valueOf(of, "metrics.band");
   result.isChanged = !isSameRun(of, referenceOf(of));
@@ -149,6 +155,7 @@ function show() {
   image.show({ ...result, goals: result.scene.goal, movable: pixelsAreFeatures(of) });
   scene.show(result, down.map((g) => -g));
   for (const chart of charts) chart.show(result);
+  happened.show(happenings(of, result, firstOutside(result)));
   at(share);
   verdict();
   table();
@@ -162,8 +169,7 @@ function cranks(of) {
 }
 
 /** Whether the camera's pixels are what its pinhole would have: only then a goal can be dragged to one. */
-const pixelsAreFeatures = (of) =>
-  valueOf(of, "camera.principal_point") === null && ["brown_conrady", "kannala_brandt"].every((lens) => [valueOf(of, `camera.distortion.${lens}`) ?? 0].flat().every((number) => number === 0));
+const pixelsAreFeatures = (of) => valueOf(of, "camera.principal_point") === null && !hasLens(of);
 
 /** Time up to which charts go [s]: all of it, or three times what settling takes, on a scale of 1, 2, 5. */
 function shown() {
@@ -190,10 +196,11 @@ function at(next) {
 // --- words and numbers
 
 /** How a run of a state went: good, bad or warn, and a sentence, at whose end is what it does beyond the limits of the legs. */
-function ending(of, { outcome, metrics: values, time, detail, ...rest }) {
-  if (outcome !== "completed") return ["bad", `Ends early, ${outcome.replaceAll("_", " ")}${detail ? `: ${detail}` : ""}`];
-  const passed = passedLimits(of, { metrics: values, ...rest });
-  const beyond = passed.join(", ");
+function ending(of, run) {
+  const { outcome, metrics: values, time, detail } = run;
+  const outside = firstOutside({ ...run, border: borderOf(of) });
+  const beyond = [...(outside ? [inWords(outside)] : []), ...passedLimits(of, run)].join(", ");
+  if (outcome !== "completed") return ["bad", `Ends early, ${outcome.replaceAll("_", " ")}${detail ? `: ${detail}` : ""}${beyond && `; before that ${beyond}`}`];
   const band = withUnit(valueOf(of, "metrics.band"), "px");
   if (Number.isNaN(values.settling_time)) return ["warn", `Does not settle: ${withUnit(values.final_error, "px")} from the goal after ${withUnit(time, "s")}${beyond && `, and ${beyond}`}`];
   return [beyond ? "warn" : "good", `Settles within ${band} at ${withUnit(values.settling_time, "s")}${beyond && `, but ${beyond}`}`];
@@ -202,10 +209,12 @@ function ending(of, { outcome, metrics: values, time, detail, ...rest }) {
 /** The run that what is shown is compared with, the preset's or the one that is pinned; null while that is computed. */
 const itsReference = () => (reference && same(reference.state, referenceOf(result.state)) ? reference : null);
 
-/** That run where it is another one than what is shown, and its features are as many. */
+/** That run where it is another one than what is shown, and its features are as many; `stride`: samples from one that is drawn to the next. */
 function ghost() {
   const against = itsReference();
-  return against && result.isChanged && against.points === result.points ? against : null;
+  if (!against || !result.isChanged || against.points !== result.points) return null;
+  const [own, other] = [result, against].map(({ samples: { time } }) => time[1] - time[0]);
+  return { ...against, stride: Math.max(1, Math.round(own / other) || 1) }; // two runs that are compared are sampled alike
 }
 
 /** Names what is compared with in what lies pale behind, and on the button that changes it. */
@@ -305,7 +314,10 @@ const scene = new MachineView($("scene"), (shift, phase) => {
     at(0);
   } else if (phase === "move") {
     change((now) => changed(now, "simulation.start.pose", held.map((x, i) => (i < 3 ? Math.round(1e5 * (x + shift[i])) / 1e5 : x))), false);
-  } else writeAddress(true);
+  } else {
+    writeAddress(true);
+    run();
+  }
 });
 const charts = ["errors", "forces", "moments"].map((figure, i) => {
   const chart = new Chart($(`chart-${i}`), figure, pick);
@@ -318,6 +330,7 @@ const charts = ["errors", "forces", "moments"].map((figure, i) => {
   });
   return chart;
 });
+const happened = new Happenings($("happenings"), pick);
 const controls = new Controls($("controls"), change);
 const keyList = new KeyList($("keys"), $("search"), change);
 const map = new ParameterMap($("map"), change);
@@ -346,6 +359,9 @@ addEventListener("resize", () => result && at(share));
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => result && requestAnimationFrame(() => (show(), refresh())));
 matchMedia("print").addEventListener("change", () => result && at(share));
 for (const name of ["focus", "blur"]) $("image").addEventListener(name, () => result && at(share));
+
+new ResizeObserver(([{ target }]) => document.documentElement.style.setProperty("--words", `${target.getBoundingClientRect().height}px`)).observe($("words"));
+$("verdict").addEventListener("click", () => $("words").classList.toggle("whole")); // where a phone cuts it
 
 // --- out of the page
 

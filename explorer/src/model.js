@@ -227,16 +227,17 @@ export function toYaml(state) {
 
 // --- runs
 
-/** Samples that are drawn, at most. */
-export const MOST_ROWS = 800;
+/** Samples that are drawn, at most, and while something is dragged: then each picture is to be there with the next one of the screen. */
+const MOST_ROWS = 10000;
+const MOST_ROWS_OF_A_DRAG = 800;
 
 /** Steps between two samples, at most: no sample but the first and the last is drawn. */
 const MOST_EVERY = 1e9;
 
 /** The scenario of a run whose samples are drawn. */
-export function drawn(state) {
+export function drawn(state, isDragged = false) {
   const scenario = full(state);
   const steps = scenario["simulation.duration"] / scenario["simulation.step"];
-  const every = Math.ceil(steps / MOST_ROWS) || 1; // of a quotient that is no number the core refuses a key of it
+  const every = Math.ceil(steps / (isDragged ? MOST_ROWS_OF_A_DRAG : MOST_ROWS)) || 1; // of a quotient that is no number the core refuses a key of it
   return { ...scenario, [LOGGING]: Math.max(1, Math.min(MOST_EVERY, every)) };
 }

@@ -1,13 +1,18 @@
-/** The machine in space: base, legs, platform, camera with what it sees, target. Three projects it, and draws it as SVG. */
+/** The machine in space: base, legs, platform, camera with what its image shows, target. Three projects it, and draws it as SVG. */
 import { Color, Plane, Raycaster, Scene, Vector2, Vector3 } from "three";
 import { SVGRenderer } from "three/addons/renderers/SVGRenderer.js";
+import { isPointOutside } from "./imageborder.js";
+import { element } from "./controls.js";
+import { short } from "./format.js";
 import { legsBeyond } from "./limits.js";
 import { endsAt, framesAt, isFinitePoint, mean, positionAt, targetAt, vectors } from "./machine.js";
 import { BEFORE, BEHIND, ball, floor, lights, pane, path, plate, pyramid, rays, rods } from "./shapes.js";
-import { colours, lineColour, pointIn } from "./view.js";
+import { colours, lineColour, pointIn, write } from "./view.js";
 import { Viewpoint } from "./viewpoint.js";
 
 const SHARES = [0, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875, 1]; // of the time, at which a moving target is kept in the view
+
+const NEAR = 3; // radii of the base, up to which the way of the platform is kept in the view
 
 export class MachineView {
   /**
@@ -19,7 +24,8 @@ export class MachineView {
     this.drag = drag;
     this.renderer = new SVGRenderer();
     this.renderer.setPrecision(1);
-    box.append(this.renderer.domElement);
+    this.note = element("p");
+    box.append(this.renderer.domElement, this.note);
     this.viewpoint = new Viewpoint(box, () => this.draw(this.row));
     box.addEventListener("pointerdown", (event) => this.take(event));
     box.addEventListener("pointermove", (event) => this.move(event));
@@ -43,7 +49,38 @@ export class MachineView {
     const ways = targetMoves ? SHARES.flatMap((share) => targetAt(result, Math.round(share * (rows - 1)))) : [];
     const far = vectors(scene.camera_on_base ? scene.camera_position : scene.target); // what is away from the machine
     const floorPoints = vectors(this.floor.geometry.attributes.position.array).map((point) => point.applyMatrix4(this.floor.matrixWorld));
-    this.kept = [...floorPoints, ...far, ...ways, positionAt(result, 0)].filter(isFinitePoint);
+    this.kept = [...floorPoints, ...far, ...ways, ...this.places()].filter(isFinitePoint);
+  }
+
+  /** Where the platform is at the start, and farthest to each side of B as long as it is near: what is kept in the view. */
+  places() {
+    const { rows, samples: { position } } = this.result;
+    const [low, high] = [[0, 0, 0], [0, 0, 0]];
+    for (let row = 0; row < rows; ++row) {
+      if (!this.isNear(row)) continue;
+      for (let k = 0; k < 3; ++k) {
+        if (position[3 * row + k] < position[3 * low[k] + k]) low[k] = row;
+        if (position[3 * row + k] > position[3 * high[k] + k]) high[k] = row;
+      }
+    }
+    return [0, ...low, ...high].map((row) => positionAt(this.result, row));
+  }
+
+  /** Whether the platform is so near to its start at a sample that it is kept in the view. */
+  isNear(row) {
+    const { position } = this.result.samples;
+    let square = 0;
+    for (let k = 0; k < 3; ++k) square += (position[3 * row + k] - position[k]) ** 2;
+    return square <= (NEAR * this.radius) ** 2;
+  }
+
+  /** States how far away a platform is that cannot be seen. */
+  tell(row) {
+    const place = positionAt(this.result, row);
+    const { x, y } = place.clone().project(this.viewpoint.camera);
+    const isSeen = this.isNear(row) || Math.max(Math.abs(x), Math.abs(y)) <= 1;
+    const away = short(place.distanceTo(positionAt(this.result, 0)), 2);
+    write(this.note, isSeen ? "" : `platform ${away} m away, out of view`);
   }
 
   /** Makes what stays as it is during a run, and from run to run while the machine is the same. */
@@ -62,6 +99,7 @@ export class MachineView {
     this.row = row;
     const { result, viewpoint, scene } = this;
     const { clientWidth: width, clientHeight: height } = this.box;
+    if (!width || !height) return; // a page that is not laid out yet, or too narrow
     this.renderer.setSize(width, height);
     this.thick = Math.max(2.5, Math.min(9, 0.075 * this.radius * viewpoint.fit(this.kept, this.up, width, height)));
     while (row > 0 && !isFinitePoint(positionAt(result, row))) row -= 1; // the last ones of a run that diverged
@@ -73,6 +111,7 @@ export class MachineView {
     this.legs(vectors(result.scene.platform_joints).map((joint) => platform.localToWorld(joint)), row);
     this.sight(eye, row);
     this.renderer.render(scene, viewpoint.camera);
+    this.tell(row);
   }
 
   /** Where the platform was, as far as it moved. */
@@ -102,18 +141,20 @@ export class MachineView {
     for (const joint of [...joints, ...(cranks ?? [])].filter(isFinitePoint)) scene.add(ball(joint, 0.5 * thick, ink, panel));
   }
 
-  /** The camera's pyramid, and lines to the points of the target. */
+  /** What the camera's image shows, where that has a border, and lines to the points of the target, hollow those that are outside. */
   sight(eye, row) {
-    const { scene } = this;
+    const { scene, result } = this;
+    const { border } = result;
     const { good, line, panel, c1 } = colours();
-    const target = targetAt(this.result, row).filter(isFinitePoint);
+    const target = targetAt(result, row).filter(isFinitePoint);
     const seen = target.map((point) => eye.worldToLocal(point.clone()));
-    const half = Math.max(0.15, ...seen.flatMap(({ x, y, z }) => [Math.abs(x / z), Math.abs(y / z)]));
     const far = seen.length ? seen.reduce((sum, { z }) => sum - z / seen.length, 0) : 2 * this.radius;
-    eye.add(pyramid(1.25 * half, Math.min(0.45 * far, 1.2 * this.radius), good), ball(new Vector3(), 4, good, panel));
+    eye.add(ball(new Vector3(), 4, good, panel));
+    if (border) eye.add(pyramid(border.map((side) => side / result.scene.focal), Math.min(0.45 * far, 1.2 * this.radius), good));
     if (target.length > 2) scene.add(pane(target, c1));
     const from = eye.getWorldPosition(new Vector3());
-    scene.add(rays(from, target, line), ...target.map((point, i) => ball(point, 6, lineColour(i), panel)));
+    const looks = target.map((_, i) => (isPointOutside(result, row, i) ? [panel, lineColour(i)] : [lineColour(i), panel]));
+    scene.add(rays(from, target, line), ...target.map((point, i) => ball(point, 6, ...looks[i])));
   }
 
   // --- the pointer turns the view, or moves the platform

@@ -70,11 +70,13 @@ export function plate(joints, height, up, color) {
 const PYRAMID = new ConvexGeometry([new three.Vector3(), ...[-1, 1].flatMap((x) => [-1, 1].map((y) => new three.Vector3(x, y, -1)))]);
 const PYRAMID_EDGES = new three.EdgesGeometry(PYRAMID);
 
-/** What a camera at the origin sees up to a distance, `half` its half width at distance 1. */
-export function pyramid(half, reach, color) {
+/** What a camera at the origin sees up to a distance: left, right, low and high are the sides of its image at distance 1. */
+export function pyramid([left, right, low, high], reach, color) {
   const glass = new three.MeshBasicMaterial({ color, opacity: 0.1 });
   const made = new three.Group().add(new three.Mesh(PYRAMID, glass), lines(PYRAMID_EDGES, color, 1));
-  made.scale.set(half * reach, half * reach, reach);
+  const [x, y] = [(left + right) / 2, (low + high) / 2];
+  made.matrixAutoUpdate = false; // of place, turn and size: a pyramid whose middle is beside the axis is sheared
+  made.matrix.set(right - x, 0, -x, 0, 0, high - y, -y, 0, 0, 0, 1, 0, 0, 0, 0, 1).premultiply(new three.Matrix4().makeScale(reach, reach, reach));
   return made;
 }
 

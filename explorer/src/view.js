@@ -67,6 +67,29 @@ export function cleared(canvas) {
   return [context, width, height];
 }
 
+const FINE = 0.3; // pixels that a line may be longer or shorter for being drawn with fewer pieces
+
+/** Adds a line through many places to the path of a context: those that can be told apart, and the last one. Places that are not finite are left out. */
+export class Line {
+  constructor(context) {
+    Object.assign(this, { context, x: NaN, y: NaN, drawnX: NaN, drawnY: NaN });
+  }
+
+  to(x, y) {
+    if (!Number.isFinite(x + y)) return;
+    this.x = x;
+    this.y = y;
+    if (Math.abs(x - this.drawnX) + Math.abs(y - this.drawnY) < FINE) return;
+    this.context.lineTo(x, y);
+    this.drawnX = x;
+    this.drawnY = y;
+  }
+
+  end() {
+    if (Number.isFinite(this.x)) this.context.lineTo(this.x, this.y);
+  }
+}
+
 /** Where a pointer is in a canvas [CSS pixels]. */
 export function pointIn(canvas, event) {
   const box = canvas.getBoundingClientRect();

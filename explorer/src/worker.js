@@ -6,6 +6,7 @@
  */
 import { Core, Refusal } from "./core.js";
 
+const LOGGING = "simulation.log_every";
 const PIECE = 40; // milliseconds between two answers of a map
 const BREATH = 30; // milliseconds of a run between two looks at what else is asked for
 const FIRST_STEPS = 20; // of a run, by which the time of a step is measured
@@ -23,24 +24,31 @@ const breath = () =>
     channel.port2.postMessage(0);
   });
 
-async function run(id, scenario, spare) {
+/** Runs a scenario to its end of so many steps; returns whether it got there: a newer request stops it. */
+async function finished(id, scenario, steps) {
   core.apply(scenario);
   core.begin();
-  const steps = scenario["simulation.duration"] / scenario["simulation.step"];
-  let taken = 0;
   let count = FIRST_STEPS;
   let [since, before] = [performance.now(), performance.now()];
   while (core.advance(count)) {
-    taken += count;
     const now = performance.now();
     count = Math.max(1, Math.floor(count * Math.min(GROWTH, BREATH / Math.max(CLOCK, now - before))));
     before = now;
     if (now - since < 0.9 * BREATH) continue;
-    postMessage({ id, progress: taken / steps });
+    postMessage({ id, progress: core.taken / steps });
     await breath();
-    if (newest !== id) return;
+    if (newest !== id) return false;
     since = before = performance.now();
   }
+  return true;
+}
+
+async function run(id, scenario, spare) {
+  const steps = scenario["simulation.duration"] / scenario["simulation.step"];
+  if (!(await finished(id, scenario, steps))) return;
+  const every = Math.ceil((scenario[LOGGING] * core.taken) / steps); // that gives a run of the steps that were taken as many samples
+  const isShort = 2 * every <= scenario[LOGGING]; // it ended early: again, for the samples that are left out there
+  if (isShort && !(await finished(id, { ...scenario, [LOGGING]: Math.max(1, every) }, core.taken))) return;
   const result = core.result(spare);
   core.end();
   postMessage(
@@ -50,7 +58,7 @@ async function run(id, scenario, spare) {
 }
 
 async function map(id, { scenario, names, cells }) {
-  const base = { ...scenario, "simulation.log_every": 1e9 };
+  const base = { ...scenario, [LOGGING]: 1e9 };
   for (const name of names) delete base[name]; // every cell sets them, so what the core refuses here it refuses of each
   core.apply(base);
   let done = [];

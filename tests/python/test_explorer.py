@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
 ROOT = Path(__file__).parents[2]
-MOST_ROWS = 800  # that the page draws
+MOST_ROWS = 10000  # that the page draws of a run at rest
 CHROMIUM = shutil.which("chromium")
 PATIENCE = 120e3  # milliseconds: the machine may be busy
 BUILT = (resources.files("hexservo") / "explorer.html").is_file()
@@ -147,8 +147,11 @@ def test_smooth_runs_have_the_numbers_of_the_package(visit: Visit) -> None:
         )
         assert (end["refusal"], end["outcome"], end["rows"]) == (None, run.outcome.name, len(run.time)), (name, law)
         for quantity in ("time", "position", "quaternion", "feature_error"):
-            expected = getattr(run, quantity).ravel()
-            found = np.array(visit.page.evaluate(f"Array.from(explorer.result.samples.{quantity})"))
+            samples = getattr(run, quantity)
+            expected = samples[::10].ravel()
+            width = samples[0].size
+            every_tenth = f"explorer.result.samples.{quantity}.filter((_, i) => Math.floor(i / {width}) % 10 === 0)"
+            found = np.array(visit.page.evaluate(f"Array.from({every_tenth})"))
             difference = float(np.abs(found - expected).max() / np.abs(expected).max())
             assert difference <= 1e-12, (name, law, quantity)
             worst = max(worst, difference)
@@ -175,6 +178,37 @@ def test_packaged_scenarios_end_as_in_the_package(visit: Visit) -> None:
         passed = any(expected[limit.metric] > limit.value for limit in leg_limits(scenario))
         beyond = ", and " if math.isnan(settled) else ", but "
         assert (beyond in visit.page.locator("#verdict").inner_text()) == passed, name
+
+
+@in_browser
+def test_samples_of_a_run_at_rest_are_as_many_as_it_needs(visit: Visit) -> None:
+    """Of a run that ends early, of peaks, of a long run; their distance is stated while a slider is dragged."""
+    page = visit.page
+    few = visit.go("#fails-wrong-sign")["rows"]
+    assert visit.go("#fails-wrong-sign&simulation.duration=20")["rows"] == few
+    assert few > page.evaluate("explorer.result.time / explorer.result.step")
+    peak = visit.go("#rubin-camera-hexapod")["metrics"]["peak_leg_force"]
+    forces = page.evaluate("explorer.result.samples.leg_forces.reduce((most, x) => Math.max(most, Math.abs(x)), 0)")
+    assert forces == pytest.approx(peak, rel=1e-3)
+    spacing = "explorer.result.samples.time[1] - explorer.result.samples.time[0]"
+    visit.go("#paper&simulation.duration=20")
+    assert page.evaluate(spacing) == pytest.approx(0.002)
+    caption = page.locator("figure:has(#chart-0) figcaption")
+    for event, expected, words in (("input", 0.025, "samples 0.025 s apart"), ("change", 0.002, "")):
+        page.evaluate(
+            """event => {
+              explorer.shown = null;
+              const slider = document.querySelector('[data-id="uncertainty.depth"]');
+              slider.value = 510;
+              slider.dispatchEvent(new Event(event));
+            }""",
+            event,
+        )
+        page.wait_for_function("explorer.shown !== null")
+        assert page.evaluate(spacing) == pytest.approx(expected)
+        apart = page.evaluate("explorer.result.ghost.stride * explorer.result.ghost.samples.time[1]")
+        assert apart == pytest.approx(expected), "what is pale is drawn as coarse"
+        assert caption.locator("small").last.inner_text() == words
 
 
 @in_browser
@@ -560,7 +594,7 @@ def test_the_target_is_drawn_where_it_is(visit: Visit, name: str, kind: str) -> 
 
 @in_browser
 def test_a_run_beyond_a_limit_of_the_legs_is_not_called_good(visit: Visit) -> None:
-    """The sentence has the first event of the package, and legs beyond their stroke have the colour of a warning."""
+    """The sentence has the events of the package, and legs beyond their stroke have the colour of a warning."""
     page = visit.page
     warned = """() => {
       const rgb = document.createElement('i');
@@ -575,21 +609,49 @@ def test_a_run_beyond_a_limit_of_the_legs_is_not_called_good(visit: Visit) -> No
     visit.go("#paper")
     assert page.locator("#verdict").get_attribute("class") == "verdict good"
     assert page.evaluate(warned) == 0
-    visit.go("#fails-unequal-depth")
-    first = hs.simulate(hs.load_scenario("fails-unequal-depth")).events[0]
-    words = page.locator("#verdict").inner_text()
-    said = re.search(r", but leg (\d) passes its stroke of 17 mm at ([\d.]+) s$", words)
-    assert said is not None, words
-    assert int(said[1]) == first.leg
-    assert float(said[2]) == pytest.approx(first.time, abs=0.005)
-    assert page.locator("#verdict").get_attribute("class") == "verdict warn"
-    assert page.evaluate(warned) > 0
+    for name, duration in (("fails-unequal-depth", None), ("fails-gravity", None), ("fails-gravity", 20)):
+        changes = {} if duration is None else {"simulation.duration": duration}
+        visit.go("&".join([f"#{name}", *(f"{key}={value}" for key, value in changes.items())]))
+        first = hs.simulate(hs.load_scenario(name).updated(changes)).events[0]
+        words = page.locator("#verdict").inner_text()
+        said = re.search(r", (?:but|and) leg (\d) passes its stroke of 17 mm at ([\d.]+) s", words)
+        assert said is not None, words
+        assert (first.kind, int(said[1])) == ("stroke", first.leg)
+        assert float(said[2]) == pytest.approx(first.time, rel=1e-4)
+        assert page.locator("#verdict").get_attribute("class") == "verdict warn"
+        assert page.evaluate(warned) > 0, name
     visit.go("#paper&robot.force_limit=0.05")
-    assert "but a leg takes a force of" in page.locator("#verdict").inner_text()
+    worst = max(
+        hs.simulate(hs.load_scenario("paper").updated({"robot.force_limit": 0.05})).events, key=lambda event: event.peak
+    )
+    assert f"but leg {worst.leg} takes a force of {worst.peak:.4g} N of 0.05 N" in page.locator("#verdict").inner_text()
     visit.go("#reachy-mini&robot.stroke=0.1")
     assert re.search(
         r"Does not settle: .*, and leg \d passes its stroke of 5\.73°? at", page.locator("#verdict").inner_text()
     )
+
+
+@in_browser
+def test_a_run_that_ends_early_tells_the_limits_that_it_passed(visit: Visit) -> None:
+    """In the sentence, and in the line of what happened, each item of which shows its time."""
+    page = visit.page
+    visit.go("#fails-wrong-sign")
+    events = hs.simulate(hs.load_scenario("fails-wrong-sign")).events
+    words = page.locator("#verdict").inner_text()
+    assert words.startswith("Ends early, diverged")
+    assert "; before that leg " in words
+    assert " passes its stroke of 17 mm at 0.02" in words
+    items = page.locator("#happenings button:visible")
+    told = items.all_inner_texts()
+    first = {event.kind: event for event in reversed(events)}
+    kinds = sorted(first, key=lambda kind: first[kind].time)
+    assert [float(item.split()[0]) for item in told[:-1]] == pytest.approx([first[kind].time for kind in kinds])
+    assert f"stroke of leg {first['stroke'].leg}, and " in told[kinds.index("stroke")]
+    assert told[-1].endswith("diverged")
+    items.nth(kinds.index("stroke")).click()
+    assert float(page.locator("#now").inner_text().split()[0]) == pytest.approx(first["stroke"].time, abs=0.0011)
+    visit.go("#paper")
+    assert items.all_inner_texts() == ["0.353 s settles", "5 s end"]
 
 
 # Colours [r, g, b, a] at places of a canvas: of a chart (time [s], value [unit of the chart]), or of the image [px].
@@ -621,10 +683,12 @@ def scale_of(page: Page, chart: int) -> tuple[float, float]:
     return low, high
 
 
+NAMED = "name => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim()"  # a colour's text
+
+
 def rgb(page: Page, name: str) -> list[int]:
     """Return a colour of the page by its name."""
-    style = "name => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim()"
-    return [int(page.evaluate(style, name)[i : i + 2], 16) for i in (1, 3, 5)]
+    return [int(page.evaluate(NAMED, name)[i : i + 2], 16) for i in (1, 3, 5)]
 
 
 @in_browser
@@ -757,6 +821,75 @@ DISCS = """colours => colours.map(colour => {
   const disc = document.querySelector(`#scene circle[fill="${fill}"]`);
   return disc.getAttribute("transform").match(/-?[0-9][0-9.e-]*/g).map(Number);
 })"""
+
+
+@in_browser
+def test_the_border_of_the_image_is_drawn_and_what_is_outside_is_told(visit: Visit) -> None:
+    """Among features, wherever the principal point is; the camera has a field of view where its image has a border."""
+    page = visit.page
+    pyramids = "[...document.querySelectorAll('#scene path')].filter(path => path.style.fillOpacity === '0.1').length"
+    visit.go("#paper")
+    assert page.evaluate("explorer.result.border") is None
+    assert page.evaluate(pyramids) == 0
+    visit.go("#fails-lost-features")
+    assert page.evaluate(pyramids) > 0
+    assert page.evaluate("explorer.result.border") == [-68, 68, -68, 68]
+    on, beside = image_colours(page, [(68, 5), (66, 5)])
+    assert on[:3] == pytest.approx(rgb(page, "good"), abs=10)
+    assert beside[:3] != pytest.approx(rgb(page, "good"), abs=10)
+    run = hs.simulate(hs.load_scenario("fails-lost-features"))
+    outside = np.abs(run.features).reshape(len(run.time), -1, 2).max(axis=2) > 68
+    row = int(np.argmax(outside.any(axis=1)))
+    words = f"point {int(np.argmax(outside[row])) + 1} leaves the image at {run.time[row]:.4g} s"
+    assert words in page.locator("#verdict").inner_text()
+    assert "warn" in str(page.locator("#verdict").get_attribute("class"))
+    assert any("outside of the image" in item for item in page.locator("#happenings button").all_inner_texts())
+    _, _, paths = features(page, "result")
+    now = paths[-1].reshape(-1, 2)
+    found = image_colours(page, now.tolist())
+    for i, place in enumerate(now):
+        expected = "panel" if np.abs(place).max() > 68 else f"c{i}"
+        assert found[i][:3] == rgb(page, expected), i
+        discs = page.locator(f"#scene circle[stroke='{page.evaluate(NAMED, f'c{i}')}']").count()
+        assert discs == (expected == "panel"), i
+    for name, change in (("eye-to-hand", {}), ("reachy-mini", {"camera.focal_pixels": [150.0, 160.0]})):
+        scenario = hs.load_scenario(name).updated(change)
+        visit.go("&".join([f"#{name}", *(f"{key}={','.join(map(str, value))}" for key, value in change.items())]))
+        run = hs.simulate(scenario)
+        pixels, seen = (np.reshape(values, (-1, 2)) for values in (run.pixels, run.features))
+        edges = np.array([[-0.5, -0.5], np.asarray(scenario.camera.image_size) - 0.5])
+        (left, high), (right, low) = np.transpose(
+            [np.polyval(np.polyfit(pixels[:, k], seen[:, k], 1), edges[:, k]) for k in (0, 1)]
+        )
+        assert page.evaluate("explorer.result.border") == pytest.approx([left, right, low, high], rel=1e-6), name
+    visit.go("#real-machine&camera.distortion.brown_conrady=-0.1,0,0,0,0")
+    assert page.evaluate("explorer.result.border") is None, "a lens bends it"
+
+
+@in_browser
+def test_a_platform_that_goes_away_is_kept_in_view_or_told_of(visit: Visit) -> None:
+    page = visit.page
+    note = page.locator("#scene p")
+
+    def height() -> tuple[float, float]:
+        """Place of the camera on the platform, of the view's height from its middle; and the view's height."""
+        box = page.locator("#scene").bounding_box()
+        assert box is not None
+        return page.evaluate(DISCS, ["good"])[0][1], box["height"]
+
+    visit.go("#paper&uncertainty.gravity=0.2&simulation.duration=0.3")
+    assert page.evaluate("explorer.result.samples.position.at(-1) - explorer.result.samples.position[2]") < -0.05
+    at, whole = height()
+    assert abs(at) < whole / 2
+    assert note.inner_text() == ""
+    visit.go("#paper&uncertainty.gravity=0.2")
+    place = np.array(page.evaluate("Array.from(explorer.result.samples.position)")).reshape(-1, 3)
+    away = float(np.linalg.norm(place[-1] - place[0]))
+    assert note.inner_text() == f"platform {away:.2g} m away, out of view"
+    at, whole = height()
+    assert abs(at) > whole / 2
+    page.locator("#happenings button").first.click()
+    assert note.inner_text() == ""
 
 
 @in_browser
@@ -1513,6 +1646,37 @@ def test_a_phone_scrolls_in_one_direction_and_names_all_its_controls(browser: Br
 def test_a_tablet_has_all_columns_of_the_metrics(browser: Browser, file: Path, width: int) -> None:
     visit = Visit(browser, file, "#paper&uncertainty.gravity=0.05", viewport={"width": width, "height": 1180})
     assert visit.page.evaluate("(box => box.scrollWidth <= box.clientWidth)(document.querySelector('.numbers'))")
+    assert visit.problems == []
+    visit.context.close()
+
+
+@in_browser
+@pytest.mark.parametrize(("width", "height"), [(1280, 720), (390, 844)])
+def test_the_outcome_stays_in_view_and_covers_no_control(browser: Browser, file: Path, width: int, height: int) -> None:
+    visit = Visit(browser, file, "#fails-gravity", viewport={"width": width, "height": height})
+    page = visit.page
+    top = "name => document.querySelector(name).getBoundingClientRect().top"
+    below = "document.querySelector('.words').getBoundingClientRect().bottom"
+    page.evaluate("scrollTo(0, document.body.scrollHeight)")
+    assert page.evaluate(top, "#verdict") >= 0
+    assert page.evaluate(below) <= 56
+    assert page.evaluate(top, "#controls" if width > 800 else ".views") >= page.evaluate(below)
+    slider = page.locator('[data-id="uncertainty.depth"]')
+    slider.evaluate("slider => slider.scrollIntoView()")
+    slider.press("ArrowRight")
+    page.wait_for_function("explorer.shown.includes('depth')")
+    box = slider.bounding_box()
+    assert box is not None
+    on_top = "([x, y]) => document.elementFromPoint(x, y).dataset.id"
+    assert page.evaluate(on_top, [box["x"] + 5, box["y"] + 8]) == "uncertainty.depth"
+    assert visit.problems == []
+    visit.context.close()
+
+
+@in_browser
+def test_a_page_without_room_for_the_machine_draws_none(browser: Browser, file: Path) -> None:
+    visit = Visit(browser, file, viewport={"width": 40, "height": 400})
+    assert visit.page.locator("#scene").evaluate("view => view.clientWidth") == 0
     assert visit.problems == []
     visit.context.close()
 
