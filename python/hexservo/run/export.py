@@ -25,13 +25,14 @@ TITLE = "// hexservo gains, format 1"
 C_NAMES = frozenset(
     """
     gains gains_create gains_destroy gains_memory gains_period gains_place gains_points gains_size input
-    input_clear input_status interface key metric_count metric_name outcome outcome_name output plant
-    plant_command plant_create plant_destroy plant_newest plant_outcome plant_sense quantity run run_advance
-    run_create run_destroy run_detail run_goal run_metrics run_newest run_outcome run_rows run_samples run_scene
-    run_target run_time run_width scenario scenario_copy scenario_create scenario_destroy scenario_get_numbers
-    scenario_get_text scenario_key scenario_key_count scenario_message scenario_points scenario_set_number
-    scenario_set_numbers scenario_set_text scenario_validate scene state state_create state_destroy state_memory
-    state_place state_size status tick type version
+    input_clear input_status interface key limit limit_event metric_count metric_name outcome outcome_name
+    output plant plant_command plant_create plant_destroy plant_newest plant_outcome plant_sense quantity
+    run run_advance run_create run_destroy run_detail run_event run_event_count run_goal run_metrics
+    run_newest run_outcome run_rows run_samples run_scene run_target run_time run_width scenario
+    scenario_copy scenario_create scenario_destroy scenario_get_numbers scenario_get_text scenario_key
+    scenario_key_count scenario_message scenario_points scenario_set_number scenario_set_numbers
+    scenario_set_text scenario_validate scene state state_create state_destroy state_memory state_place
+    state_size status tick type version
     """.split()  # noqa: SIM905
 )
 """Names of hexservo.h without ``hexservo_``: a namespace of such a name would not compile beside that header."""

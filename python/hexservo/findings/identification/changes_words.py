@@ -6,7 +6,6 @@ from typing import Any
 
 from hexservo.findings.evidence import Column, Section, Table, Verdict
 from hexservo.findings.identification.changes import Changes
-from hexservo.findings.identification.drives_words import PAGE
 
 
 def section(found: Changes) -> Section:
@@ -15,7 +14,12 @@ def section(found: Changes) -> Section:
     verdicts = set(found.verdicts.values())
     verdict: Verdict = "bad" if "bad" in verdicts else "good" if verdicts == {"good"} else "warning"
     rows += [[key, f"{_text(value)} (whole ticks)", _text(found.given[key])] for key, value in found.rounded.items()]
-    table = Table("Keys of the scenario", (Column("key"), Column("identified"), Column("given")), rows, page=PAGE)
+    table = Table(
+        "Keys of the scenario",
+        (Column("key"), Column("identified"), Column("given")),
+        rows,
+        page="docs/identification.md",
+    )
     return Section(
         "keys",
         "The scenario",

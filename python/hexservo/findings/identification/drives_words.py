@@ -14,7 +14,7 @@ from hexservo.findings.identification.motors import MotorFit
 from hexservo.findings.identification.one_drive import AGREEMENT, Response, response_of
 from hexservo.scenario.wording import below, number
 
-PAGE = "docs/identification.md"
+_PAGE = "docs/identification.md"
 GOOD = 0.95  # share of the part kept apart that a model should predict
 _LASTING = 5.0  # ticks over which residuals may be correlated without a word
 _ALIKE = 1.1  # ratio of two legs' bandwidths that is not worth a word
@@ -52,7 +52,7 @@ def section(found: Drives) -> Section:
         ),
         rows,
         note="Predicted: the share of the motion that the model foretells where the record was not fitted.",
-        page=PAGE,
+        page=_PAGE,
     )
     return Section(
         name="drives",
@@ -246,7 +246,7 @@ def curves_of(found: Drives | MotorFit, leg: int, what: str) -> Curves:
             Line("measured", found.time, 1e3 * found.measured[:, leg - 1]),
             Line("predicted", found.time, 1e3 * found.predicted[:, leg - 1], "dashed"),
         ],
-        page=PAGE,
+        page=_PAGE,
     )
 
 

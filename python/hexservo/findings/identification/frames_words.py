@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 
 from hexservo.findings.evidence import Column, Section, Table, Verdict
-from hexservo.findings.identification.drives_words import GOOD, PAGE, at_most, with_interval
+from hexservo.findings.identification.drives_words import GOOD, at_most, with_interval
 from hexservo.findings.identification.frames import MOST_LATENCY, CameraFit
 from hexservo.findings.identification.interval import Interval
 from hexservo.scenario.wording import number
@@ -29,7 +29,10 @@ def section(found: CameraFit) -> Section:
         *_rows_of_the_target(found),
     ]
     table = Table(
-        "Camera; in brackets 95 % intervals", (Column("quantity"), Column("value"), Column("unit")), rows, page=PAGE
+        "Camera; in brackets 95 % intervals",
+        (Column("quantity"), Column("value"), Column("unit")),
+        rows,
+        page="docs/identification.md",
     )
     known = found.latency_is_known and found.period is not None and (found.explained or 0.0) >= GOOD
     good = known and not doubts(found)

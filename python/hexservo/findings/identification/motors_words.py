@@ -8,7 +8,7 @@ import numpy as np
 
 from hexservo.findings.evidence import Column, Section, Table, Verdict
 from hexservo.findings.identification.drives import MOST_DELAY
-from hexservo.findings.identification.drives_words import PAGE, at_most, curves_of, of_correlation, with_interval
+from hexservo.findings.identification.drives_words import at_most, curves_of, of_correlation, with_interval
 from hexservo.findings.identification.motors import MotorFit
 from hexservo.scenario.wording import number
 
@@ -30,7 +30,7 @@ def section(found: MotorFit) -> Section:
             ["delay", str(found.delay) if found.delay < MOST_DELAY else f"at least {MOST_DELAY}", "ticks"],
         ],
         note="Damping is `kv` and `damping` together, which act alike below the limit of the effort.",
-        page=PAGE,
+        page="docs/identification.md",
     )
     words = [
         f"Six motors with the platform predict the part kept apart to {number(1e3 * found.error)} {unit} (RMS), six "
