@@ -15,7 +15,7 @@ constexpr double kSingularRatio = 1e-9;  // sigma_min/sigma_max of H below which
 
 /// A few poses around home without symmetry: a geometry that is singular at all of them is singular everywhere.
 std::array<Pose<double>, 3> generic_poses(const Hexapod<double>& hexapod) {
-  constexpr double kSmall = 0.1;  // cranks close there if they close at home
+  constexpr double kSmall = 0.1;  // cranks that close at home nearly always close there
   const double r = 0.1 * hexapod.platform_radius;
   const auto near_home = [&](const Vector3<double>& shift, const Vector3<double>& turn) {
     return moved(home_pose(hexapod), (Vector6<double>() << kSmall * r * shift, kSmall * turn).finished());

@@ -86,10 +86,10 @@ void require_road(const BaseMotionSettings& motion, const SeedHalves<double>& se
                  " m/s: a wave that is shorter passes within two steps of the integration"),
            words(road.shortest));
   if (const double largest = RoadWaves<double>(road, seed).rotation.largest().norm(); !(largest <= 2.0 * kPi))
-    refuse("base_motion.road.damping",
-           words("springs, dampers and a roughness that turn the vehicle by at most 2 pi (radians) where all waves are "
-                 "in phase"),
-           words(road.damping, ", with which it turns by ", largest, " rad; a larger damping turns it less"));
+    refuse("base_motion.road",
+           "a road that turns the vehicle by at most 2 pi (radians) where all waves are in phase: a smoother one, a "
+           "longer wheelbase or a wider track, or springs and dampers whose resonance is lower",
+           words("one that turns it by ", largest, " rad with this seed"));
 }
 
 void require_base(const BaseMotionSettings& motion, const SeedHalves<double>& seed, double fastest, double duration,

@@ -8,6 +8,7 @@ import hexservo as hs
 
 ONE_OF_EACH_KIND = (
     "composite-30hz",
+    "dropouts",
     "eye-to-hand",
     "fails-coarse-step",
     "fails-face-tracking",
@@ -23,17 +24,23 @@ ONE_OF_EACH_KIND = (
     "real-machine",
     "rough-road",
 )
-"""Every law in the modes it is packaged in, and every kind of device, motion and start: see `kinds`."""
+"""Every law in the modes it is packaged in, every key of a device that is set, every kind of motion: see `kinds`."""
 
 
 def kinds(scenario: hs.Scenario) -> set[tuple[object, ...]]:
     """Return what decides which branches of a run and of its findings a scenario reaches."""
     controller, camera = scenario.controller, scenario.camera
-    return {
+    devices = {
+        ("device", name, key)
+        for name in ("camera", "sensors", "actuators")
+        for key, value in getattr(scenario, name)
+        if value != getattr(type(getattr(scenario, name))(), key)
+    }
+    return devices | {
         ("law and mode", controller.law, scenario.simulation.mode),
         ("switching", controller.switching.kind),
         ("jacobian", controller.jacobian),
-        ("legs", scenario.actuators.kind, scenario.robot.cranks is not None),
+        ("legs", scenario.actuators.kind, scenario.robot.legs),
         ("pose", scenario.sensors.pose),
         ("base", scenario.base_motion.kind),
         ("target", scenario.target.motion.kind, scenario.target.frame),

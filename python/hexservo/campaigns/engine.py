@@ -281,7 +281,7 @@ def _reporting(progress: bool | ProgressCallback | None) -> Iterator[_Report]:
         return report
 
     with reported(progress, "runs", to_function, to_bar) as report:
-        yield report or (lambda state, done: None)
+        yield (lambda state, done: None) if report is None else report
 
 
 def _planned(state: _State) -> int | None:

@@ -93,7 +93,7 @@ def reporting(
         return lambda done, count: draw(done, count, done / count)
 
     with reported(progress, what, lambda function: function, to_bar, transient=transient) as report:
-        yield report or (lambda done, count: None)
+        yield (lambda done, count: None) if report is None else report
 
 
 @contextlib.contextmanager
