@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 import hexservo as hs
 from hexservo import _core
+from hexservo.campaigns import loop_numbers
 from hexservo.findings.analysis import camera_rate
 from hexservo.findings.analysis.camera_margins import Border, crossing, exponents, gain_border, loop_margins, motion_of
 from hexservo.findings.analysis.linear_law import linear_law, linear_plant, rest_of
@@ -96,6 +97,32 @@ def test_the_delay_margin_is_phase_margin_over_crossover(stiffness: float, dampi
     expected = delay_margin(stiffness, damping) - 0.5 * period * tick
     assert expected < 0.5  # within what is looked at
     assert found.stable * tick == pytest.approx(expected, abs=2 * tick)
+
+
+@pytest.mark.parametrize(("latency", "stable"), [(200, True), (2, False), (400, False)])
+def test_a_loop_that_a_perfect_camera_makes_unstable_has_limits_on_both_sides(latency: int, stable: bool) -> None:
+    """x'' = -100 x + 0.5 x' + 20 x(t - tau): the delay damps. By hand, stable where 20 sin(w tau)/w > 0.5 there."""
+    one = np.eye(1)
+    loop = SampledLoop(1e-3, one, frame=20.0 * one, pose=-100.0 * one, twist=0.5 * one)
+    found = loop_margins(loop, Clock(10, latency))
+    assert not found.perfect
+    assert found.drifts == 0
+    assert found.stable is stable
+    assert found.has_camera
+    # On the limit s = i w: 20 sin(w tau) = 0.55 w, and w^2 = 100 - 20 cos(w tau). The hold of frames adds half a
+    # period to tau, and that of the pose half a tick: 0.5 + 100 T/2 = 0.55.
+    limits = []
+    for frequency in (np.sqrt(80.0), np.sqrt(120.0)):  # cos = 1 and -1, from which the two limits are not far
+        sine = np.arcsin(0.55 * frequency / 20.0)
+        for _ in range(50):
+            angle = sine if frequency < 10.0 else np.pi - sine
+            frequency = np.sqrt(100.0 - 20.0 * np.cos(angle))
+            sine = np.arcsin(0.55 * frequency / 20.0)
+        limits.append(1e3 * angle / frequency - 5.0)
+    assert found.latency.least == pytest.approx(limits[0], abs=2.0)
+    assert found.latency.stable == pytest.approx(limits[1], abs=2.0)
+    assert found.latency.stable is not None
+    assert found.latency.unstable == found.latency.stable + 1
 
 
 def test_counted_modes_are_those_of_the_eigenvalues() -> None:
@@ -796,6 +823,33 @@ def test_with_a_wrong_sign_no_camera_is_fast_enough() -> None:
     assert found.section().verdict == "bad"
     assert "No camera is fast enough" in found.section().sentences[0]
     assert found.runs == ()
+
+
+@pytest.mark.parametrize(("latency", "verdict", "with_this"), [(0.01, "warning", "stable"), (0.0, "bad", "unstable")])
+def test_a_slow_camera_may_be_stable_where_a_perfect_one_is_not(latency: float, verdict: str, with_this: str) -> None:
+    """A drive that differs between moves and turns, with a weak prior: one oscillating mode grows at a fast camera."""
+    scenario = hs.load_scenario("moog-6dof2000e")
+    changes = {
+        "controller.composite.prior": (0.0212 * np.array(scenario.controller.composite.prior)).tolist(),
+        "controller.composite.drive": [40.0] * 3 + [14.0] * 3,
+        "controller.composite.kv": 0.0,
+        "uncertainty.depth": [-0.555, -0.555, 0.555, 0.555],
+        "robot.centre_of_mass": [0.0, 0.0, 0.0],
+        "robot.payload": {"mass": 0.0, "position": [0.0] * 3, "inertia": [0.0] * 3},
+        "camera.period": 0.01,
+        "camera.latency": latency,
+    }
+    scenario = scenario.updated(changes)
+    at_rest = loop_at_rest(scenario)
+    clock = clock_of(at_rest.scenario)
+    free = loop_margins(at_rest.free, clock)
+    assert free.stable is (float(exponents(at_rest.free, clock)[0].real) < 0.0)
+    section = camera_rate.CameraRate(scenario, None, at_rest, clock, free).section()
+    assert section.verdict == verdict
+    assert f"unstable with a perfect camera, and {with_this} with this one" in section.sentences[0]
+    assert "must be at least" in section.sentences[0]
+    assert section.data["without_kv"]["latency"]["smallest_stable"] > 0.0
+    assert (loop_numbers.delay_margin(scenario) > 0.0) is free.stable
 
 
 @pytest.mark.parametrize(

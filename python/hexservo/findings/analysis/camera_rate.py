@@ -122,7 +122,9 @@ def _check(at_rest: LoopAtRest, found: Margins) -> tuple[BorderRun, ...]:
     loop = loop_at_rest(home).free
     clock, tick = clock_of(home), home.simulation.step
     drifts = found.drifts
-    if loop.growing(Clock(1, 0)) != drifts:  # another attitude, another verdict: nothing to compare
+    if loop.growing(Clock(1, 0)) != at_rest.free.growing(
+        Clock(1, 0)
+    ):  # another attitude, another verdict: nothing to compare
         return ()
     border = found.gain[1] if found.gain[1] is not None else found.gain[0]
     if border is not None:
@@ -235,7 +237,7 @@ def analyse(scenario: Scenario, *, borders: bool = True) -> CameraRate:
     if not borders:
         return result
     result = replace(result, learned=_learned(at_rest, clock, radius, acting is smooth))
-    if not free.perfect:  # no border that a camera could have: see `_section`
+    if not free.has_camera:  # no border to map
         return result
     periods, latencies, radii = radius_map(at_rest.free, clock, free)
     result = replace(result, periods=periods, latencies=latencies, radii=radii, runs=_check(at_rest, free))
