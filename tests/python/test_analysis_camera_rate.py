@@ -112,17 +112,26 @@ def test_a_loop_that_a_perfect_camera_makes_unstable_has_limits_on_both_sides(la
     # On the limit s = i w: 20 sin(w tau) = 0.55 w, and w^2 = 100 - 20 cos(w tau). The hold of frames adds half a
     # period to tau, and that of the pose half a tick: 0.5 + 100 T/2 = 0.55.
     limits = []
-    for frequency in (np.sqrt(80.0), np.sqrt(120.0)):  # cos = 1 and -1, from which the two limits are not far
-        sine = np.arcsin(0.55 * frequency / 20.0)
+    for start, far in ((np.sqrt(80.0), False), (np.sqrt(120.0), True)):  # cos = 1 and -1, which are not far
+        frequency = start
         for _ in range(50):
-            angle = sine if frequency < 10.0 else np.pi - sine
-            frequency = np.sqrt(100.0 - 20.0 * np.cos(angle))
             sine = np.arcsin(0.55 * frequency / 20.0)
+            angle = np.pi - sine if far else sine
+            frequency = np.sqrt(100.0 - 20.0 * np.cos(angle))
         limits.append(1e3 * angle / frequency - 5.0)
     assert found.latency.least == pytest.approx(limits[0], abs=2.0)
     assert found.latency.stable == pytest.approx(limits[1], abs=2.0)
     assert found.latency.stable is not None
     assert found.latency.unstable == found.latency.stable + 1
+
+
+def test_a_mode_that_grows_beyond_all_numbers_is_unstable_at_every_clock() -> None:
+    """x'' = -k x with T^2 k/2 = 7: by hand |z|^2 = 1 + 7, and 8^500 is beyond 1e308 over the 1000 ticks searched."""
+    one = np.eye(1)
+    loop = SampledLoop(1e-3, one, frame=0.0 * one, pose=-1.4e7 * one, twist=0.0 * one)
+    found = loop_margins(loop, Clock(100, 0))
+    assert not found.stable
+    assert not found.has_camera
 
 
 def test_counted_modes_are_those_of_the_eigenvalues() -> None:

@@ -70,6 +70,15 @@ def _drifts(loop: SampledLoop) -> tuple[int, float, bool]:
     return int(real.sum()), rate, bool(real.all()) and len(growing) <= MOST_DRIFTS
 
 
+def _holds(loop: SampledLoop, clock: Clock, allowed: int) -> bool:
+    """Return whether no more modes grow than are allowed."""
+    try:
+        with np.errstate(over="raise", invalid="raise"):
+            return loop.growing(clock) <= allowed
+    except FloatingPointError:  # a mode grows beyond all numbers in one pattern
+        return False
+
+
 def _change(stable: Callable[[int], bool], start: int, end: int, least_step: int) -> tuple[int, int | None]:
     """Step from one whole number towards another until stability changes, then halve the last step.
 
@@ -221,10 +230,10 @@ def loop_margins(loop: SampledLoop, clock: Clock, radius: float = 1.0, *, border
     allowed = 0 if wrong else drifts
 
     def holds(period: int, latency: int) -> bool:
-        return loop.growing(Clock(period, latency)) <= allowed
+        return _holds(loop, Clock(period, latency), allowed)
 
     def holds_at(factor: float) -> bool:
-        return replace(loop, gain=loop.gain * factor).growing(clock) <= allowed
+        return _holds(replace(loop, gain=loop.gain * factor), clock, allowed)
 
     if clock.latency > most_frames(loop) * clock.period:
         raise ValueError(f"clock: expected at most {most_frames(loop)} frames under way, got {clock}")
