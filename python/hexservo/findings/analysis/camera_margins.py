@@ -38,7 +38,10 @@ class Border:
 
 @dataclass(frozen=True)
 class Margins:
-    """Stability limits and margins of a loop, for one treatment of K_v."""
+    """Stability limits and margins of a loop, for one treatment of K_v.
+
+    Period and latency without a search are the loop's own where it is stable, with `Border.unstable` None.
+    """
 
     stable: bool  # with the scenario's camera nothing grows but at most `MOST_DRIFTS` drifts
     radius: float  # spectral radius over one camera period, all modes but the resting ones
@@ -241,14 +244,15 @@ def loop_margins(loop: SampledLoop, clock: Clock, radius: float = 1.0, *, border
     stable = holds(clock.period, clock.latency)
     most = round(LONGEST / loop.tick)
     most_period, most_latency, least_period = max(most, 10 * clock.period), max(most, 10 * clock.latency), 1
-    if loop.reading > 1:  # where growing modes cannot be counted
+    crowded = not perfect and clock.latency > loop.few * clock.period
+    # Growing modes cannot be counted where sensors have a period, nor where they may grow fast: determinants are then
+    # all rounding. Clocks with few frames under way have eigenvalues.
+    if loop.reading > 1 or not perfect:
         most_latency, least_period = min(most_latency, loop.few * clock.period), max(1, -(-clock.latency // loop.few))
     none: tuple[float | None, float | None] = (None, None)
-    if not borders:
+    if not borders or wrong or crowded:
         period = Border(clock.period if stable else None, None, clock.period)
         latency, gain = Border(clock.latency if stable else None, None, clock.latency), none
-    elif wrong:
-        period, latency, gain = Border(None, clock.period, 1), Border(None, clock.latency, 0), none
     else:
         both = not perfect  # then a camera may be too fast as well
         period = _first_border(
