@@ -644,6 +644,20 @@ def test_a_loop_that_its_weights_make_stable_is_not_called_bad() -> None:
     assert hs.metrics(hs.simulate(scenario))["settling_time"] < 1.0
 
 
+def test_runs_that_kv_holds_where_they_start_decide_nothing() -> None:
+    """Friction of 100 N: nothing moves, so the verdict is that of the linear loop, which is unstable with K_v = 0."""
+    scenario = bad_at_empty_weights().updated({"controller.composite.kv": [100.0] * 3 + [10.0] * 3})
+    found = camera_rate.analyse(scenario, borders=False)
+    assert found.free is not None
+    assert [run.ending for run in found.starts] == ["held", "held"]
+    assert [run.end for run in found.starts] == pytest.approx([0.01, 1.0], rel=1e-6)
+    assert found.settles is None
+    assert found.stable is found.free.stable is False
+    assert any("is held where it starts" in text for text in found.section().sentences)
+    one = replace(found, starts=(found.starts[0], replace(found.starts[1], ending="settles")))
+    assert one.settles is True  # the other run alone counts
+
+
 def test_a_loop_that_is_stable_at_rest_alone_is_called_bad() -> None:
     """The slope of K_v makes the linear loop stable; a run from 1 px leaves the stroke, as a single run shows."""
     scenario = hs.load_scenario("paper-composite").updated(

@@ -93,9 +93,10 @@ class CameraRate(Part):
     def settles(self) -> bool | None:
         """Whether the runs from small starting errors all settle; None if they are inconclusive.
 
+        Runs that K_v holds where they start count for nothing.
         With a drift, which grows with any camera, runs are inconclusive where the linear loop is stable.
         """
-        endings = {run.ending for run in self.starts}
+        endings = {run.ending for run in self.starts} - {"held"}
         drifting = self.acting is not None and self.acting.stable and self.acting.drifts > 0
         if endings & {"goes on", "limit", "ended"}:
             return None if drifting else False

@@ -188,6 +188,7 @@ def _about_kv(result: CameraRate, free: Margins, tick: float) -> list[str]:
 
 _ENDINGS = {
     "settles": "comes to rest",
+    "held": "is held where it starts",
     "goes on": "does not come to rest",
     "limit": "takes a leg beyond a limit",
     "ended": "ends early",
@@ -200,8 +201,8 @@ def _about_starts(result: CameraRate, acting: Margins) -> list[str]:
     if not result.starts:
         return ["No run from a small start checks this: the law refuses the image of rest as a goal."]
     ends = " and ".join(
-        f"the one from {run.offset:g} px {_ENDINGS[run.ending]} (at most {number(run.peak)} px, legs "
-        f"{number(1e3 * run.travel)} {_leg_unit(result)})"
+        f"the one from {run.offset:g} px {_ENDINGS[run.ending]} (at most {number(run.peak)} px, at the "
+        f"end {number(run.end)} px, legs {number(1e3 * run.travel)} {_leg_unit(result)})"
         for run in result.starts
     )
     longest = max(run.duration for run in result.starts)
@@ -446,7 +447,12 @@ def _data(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins) 
         "with_learned_weights": None if result.learned is None else numbers(result.learned),
         "settles": result.settles,
         "starts": [
-            {**picked(run, "offset duration ending"), "peak_error": run.peak, "leg_travel": run.travel}
+            {
+                **picked(run, "offset duration ending"),
+                "peak_error": run.peak,
+                "end_error": run.end,
+                "leg_travel": run.travel,
+            }
             for run in result.starts
         ],
         "limits": {
