@@ -116,7 +116,7 @@ class LargestStart(Part):
     band: float = 0.0  # [px], of settling
     dwell: float = 0.0  # [s], how long a run must have been within the band at its end
     assumed: str = ""  # what the runs with camera times assume beside the scenario
-    from_home: bool = False  # the scenario's own start is another one than home at rest, from which all runs start
+    from_home: bool = False  # the scenario's own start is not home at rest, from which all runs start
 
     @property
     def own(self) -> Direction | None:
