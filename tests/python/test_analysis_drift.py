@@ -236,10 +236,20 @@ def test_runs_of_a_minute_end_where_predicted(found: Drift, composite: hs.Scenar
         assert gap < np.linalg.norm(pattern.end[:3]) * math.exp(-60 / slowest) + 5e-5, pattern.signs
 
 
-@pytest.mark.parametrize("law", ["composite", "computed_torque"])
-def test_a_run_creeps_with_the_time_constant(law: str, composite: hs.Scenario) -> None:
+@pytest.mark.parametrize(
+    ("law", "body"),
+    [
+        ("composite", {}),
+        ("computed_torque", {}),
+        ("composite", {"robot.payload": {"mass": 0.01, "position": [0.005, -0.003, -0.01], "known": True}}),
+        ("computed_torque", {"robot.payload": {"mass": 0.01, "position": [0.005, -0.003, -0.01], "known": True}}),
+        ("composite", {"robot.payload": {"mass": 0.01, "position": [0.005, 0.0, -0.01], "known": False}}),
+    ],
+)
+def test_a_run_creeps_with_the_time_constant(law: str, body: dict[str, Any], composite: hs.Scenario) -> None:
     scenario = composite.updated(
         {
+            **body,
             "controller.law": law,
             "uncertainty.depth": [0.3, -0.3, -0.3, 0.3],
             "simulation": {"duration": 60.0, "log_every": 1000},

@@ -123,7 +123,7 @@ def analyse(scenario: Scenario) -> Drift:
         For a scenario that the core refuses.
     """
     law = scenario.controller.law
-    if reason := not_analysed(scenario, _not_for(scenario)):
+    if reason := not_analysed(scenario, _not_for(scenario), any_body=True):
         return Drift(law, reason)
     if getattr(scenario.controller.gains, "jacobian_at", "current") != "current":
         return Drift(law, f"{law} with a Jacobian of the goal: not analysed, since no depth of an image enters.")
