@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 import hexservo as hs
 from hexservo import _core
+from hexservo.campaigns import loop_numbers
 from hexservo.findings.analysis import camera_rate
 from hexservo.findings.analysis.camera_margins import Border, crossing, exponents, gain_border, loop_margins, motion_of
 from hexservo.findings.analysis.linear_law import linear_law, linear_plant, rest_of
@@ -96,6 +97,42 @@ def test_the_delay_margin_is_phase_margin_over_crossover(stiffness: float, dampi
     expected = delay_margin(stiffness, damping) - 0.5 * period * tick
     assert expected < 0.5  # within what is looked at
     assert found.stable * tick == pytest.approx(expected, abs=2 * tick)
+
+
+@pytest.mark.parametrize(("latency", "stable"), [(200, True), (2, False), (400, False)])
+def test_a_loop_that_a_perfect_camera_makes_unstable_has_limits_on_both_sides(latency: int, stable: bool) -> None:
+    """x'' = -100 x + 0.5 x' + 20 x(t - tau): the delay damps. By hand, stable where 20 sin(w tau)/w > 0.5 there."""
+    one = np.eye(1)
+    loop = SampledLoop(1e-3, one, frame=20.0 * one, pose=-100.0 * one, twist=0.5 * one)
+    found = loop_margins(loop, Clock(10, latency))
+    assert not found.perfect
+    assert found.drifts == 0
+    assert found.stable is stable
+    assert found.has_camera
+    # On the limit s = i w: 20 sin(w tau) = 0.55 w, and w^2 = 100 - 20 cos(w tau). The hold of frames adds half a
+    # period to tau, and that of the pose half a tick: 0.5 + 100 T/2 = 0.55.
+    limits = []
+    for start, far in ((np.sqrt(80.0), False), (np.sqrt(120.0), True)):  # cos = 1 and -1, which are not far
+        frequency = start
+        for _ in range(50):
+            sine = np.arcsin(0.55 * frequency / 20.0)
+            angle = np.pi - sine if far else sine
+            frequency = np.sqrt(100.0 - 20.0 * np.cos(angle))
+        limits.append(1e3 * angle / frequency - 5.0)
+    assert found.latency.least == pytest.approx(limits[0], abs=2.0)
+    assert found.latency.stable == pytest.approx(limits[1], abs=2.0)
+    assert found.latency.stable is not None
+    assert found.latency.unstable == found.latency.stable + 1
+    assert found.latency.looked_at <= loop.few * 10  # where modes have eigenvalues, and are not counted
+
+
+def test_a_mode_that_grows_beyond_all_numbers_is_unstable_at_every_clock() -> None:
+    """x'' = -k x with T^2 k/2 = 7: by hand |z|^2 = 1 + 7, and 8^500 is beyond 1e308 over the 1000 ticks searched."""
+    one = np.eye(1)
+    loop = SampledLoop(1e-3, one, frame=0.0 * one, pose=-1.4e7 * one, twist=0.0 * one)
+    found = loop_margins(loop, Clock(100, 0))
+    assert not found.stable
+    assert not found.has_camera
 
 
 def test_counted_modes_are_those_of_the_eigenvalues() -> None:
@@ -608,6 +645,20 @@ def test_a_loop_that_its_weights_make_stable_is_not_called_bad() -> None:
     assert hs.metrics(hs.simulate(scenario))["settling_time"] < 1.0
 
 
+def test_runs_that_kv_holds_where_they_start_decide_nothing() -> None:
+    """Friction of 100 N: nothing moves, so the verdict is that of the linear loop, which is unstable with K_v = 0."""
+    scenario = bad_at_empty_weights().updated({"controller.composite.kv": [100.0] * 3 + [10.0] * 3})
+    found = camera_rate.analyse(scenario, borders=False)
+    assert found.free is not None
+    assert [run.ending for run in found.starts] == ["held", "held"]
+    assert [run.end for run in found.starts] == pytest.approx([0.01, 1.0], rel=1e-6)
+    assert found.settles is None
+    assert found.stable is found.free.stable is False
+    assert any("is held where it starts" in text for text in found.section().sentences)
+    one = replace(found, starts=(found.starts[0], replace(found.starts[1], ending="settles")))
+    assert one.settles is True  # the other run alone counts
+
+
 def test_a_loop_that_is_stable_at_rest_alone_is_called_bad() -> None:
     """The slope of K_v makes the linear loop stable; a run from 1 px leaves the stroke, as a single run shows."""
     scenario = hs.load_scenario("paper-composite").updated(
@@ -796,6 +847,33 @@ def test_with_a_wrong_sign_no_camera_is_fast_enough() -> None:
     assert found.section().verdict == "bad"
     assert "No camera is fast enough" in found.section().sentences[0]
     assert found.runs == ()
+
+
+@pytest.mark.parametrize(("latency", "verdict", "with_this"), [(0.01, "warning", "stable"), (0.0, "bad", "unstable")])
+def test_a_slow_camera_may_be_stable_where_a_perfect_one_is_not(latency: float, verdict: str, with_this: str) -> None:
+    """A drive that differs between moves and turns, with a weak prior: one oscillating mode grows at a fast camera."""
+    scenario = hs.load_scenario("moog-6dof2000e")
+    changes = {
+        "controller.composite.prior": (0.0212 * np.array(scenario.controller.composite.prior)).tolist(),
+        "controller.composite.drive": [40.0] * 3 + [14.0] * 3,
+        "controller.composite.kv": 0.0,
+        "uncertainty.depth": [-0.555, -0.555, 0.555, 0.555],
+        "robot.centre_of_mass": [0.0, 0.0, 0.0],
+        "robot.payload": {"mass": 0.0, "position": [0.0] * 3, "inertia": [0.0] * 3},
+        "camera.period": 0.01,
+        "camera.latency": latency,
+    }
+    scenario = scenario.updated(changes)
+    at_rest = loop_at_rest(scenario)
+    clock = clock_of(at_rest.scenario)
+    free = loop_margins(at_rest.free, clock)
+    assert free.stable is (float(exponents(at_rest.free, clock)[0].real) < 0.0)
+    section = camera_rate.CameraRate(scenario, None, at_rest, clock, free).section()
+    assert section.verdict == verdict
+    assert f"unstable with a perfect camera, and {with_this} with this one" in section.sentences[0]
+    assert "must be at least" in section.sentences[0]
+    assert section.data["without_kv"]["latency"]["smallest_stable"] > 0.0
+    assert (loop_numbers.delay_margin(scenario) > 0.0) is free.stable
 
 
 @pytest.mark.parametrize(

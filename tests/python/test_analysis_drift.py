@@ -10,8 +10,11 @@ import pytest
 
 import hexservo as hs
 from hexservo.findings.analysis import drift
+from hexservo.findings.analysis.camera_margins import exponents
 from hexservo.findings.analysis.drift import Drift, Pattern, Size, loop_matrix
 from hexservo.findings.analysis.goal import find_goals
+from hexservo.findings.analysis.linear_loop import Clock
+from hexservo.findings.analysis.loop_of_scenario import loop_at_rest
 from hexservo.findings.analysis.poses import Poses, by_displacement
 from hexservo.findings.analysis.rest import Rest
 from hexservo.findings.analysis.scene import scene_of
@@ -141,17 +144,35 @@ def test_the_limit_is_where_the_first_pattern_turns(found: Drift, composite: hs.
 # ---- Against the law's own pose error -------------------------------------------------------------------------------
 
 
-def slope_of_pose_error(scenario: hs.Scenario, errors: np.ndarray) -> np.ndarray:
-    """Minus the derivative of the core's pose error by a displacement from home, (6, 6), for depth errors (p,)."""
+def slopes_of_the_law(scenario: hs.Scenario, errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Minus the derivatives of the core's pose error and of its springs by a displacement from home, (6, 6) each.
+
+    Errors are those of the depths, (p,).
+    """
     rest = Rest(scenario)
 
-    def pose_error(poses: Poses) -> np.ndarray:
+    def law(poses: Poses) -> Any:
         features, depth = rest.image(poses)
-        law = rest.probe.law(features, (1 + errors) * depth, poses.position, poses.quaternion, np.zeros((12, 6)))
-        assert law.pose_error is not None
-        return law.pose_error
+        return rest.probe.law(features, (1 + errors) * depth, poses.position, poses.quaternion, np.zeros((12, 6)))
 
-    return -by_displacement(pose_error, rest.home, np.full(6, 1e-6))
+    def springs(poses: Poses) -> np.ndarray:
+        parts = law(poses).parts
+        return np.asarray(parts["pose_spring"] + parts["image_spring"])
+
+    steps = np.full(6, 1e-6)
+    slope = by_displacement(lambda poses: np.asarray(law(poses).pose_error), rest.home, steps)
+    return -slope, -by_displacement(springs, rest.home, steps)
+
+
+def learning_at_rest(scenario: hs.Scenario) -> np.ndarray:
+    """Give kappa = |phi-bar|^2/Psi (6,) by the memberships of the core's law at home, which is the goal."""
+    rest = Rest(scenario)
+    home = rest.home.rows
+    law = rest.probe.law(*rest.image(home), home.position, home.quaternion, np.zeros((1, 6)))
+    assert law.error_memberships is not None
+    assert law.rate_memberships is not None
+    length = np.sum(law.error_memberships[0] ** 2, axis=1) * np.sum(law.rate_memberships[0] ** 2, axis=1)
+    return np.asarray(length / np.broadcast_to(scenario.controller.composite.fuzzy.adaptation, 6))
 
 
 @pytest.mark.parametrize(
@@ -171,11 +192,18 @@ def test_rates_are_those_of_the_pose_error_by_finite_differences(
     """The goal is home: there e and the remaining image error are zero, so E is exact, at the start and at the end."""
     scenario = composite.updated({"target.desired_features": composite.target.initial_features, **changes})
     drives = np.array([4.0, 3.0, 2.0, 5.0, 1.0, 6.0])
-    result = drift.analyse(scenario.updated({"controller.composite.drive": drives.tolist()}))
+    scenario = scenario.updated({"controller.composite.drive": drives.tolist()})
+    result = drift.analyse(scenario)
+    gains = scenario.controller.composite
+    damping = np.broadcast_to(gains.kd, 6)[:, None]
+    learning = np.diag(learning_at_rest(scenario))
     for pattern in size_of(result, 0.3).patterns:
-        slope = slope_of_pose_error(scenario, pattern.errors)
+        slope, spring = slopes_of_the_law(scenario, pattern.errors)
+        # chi'' = -K_d^-1 ((kappa + spring) chi' + kappa Lambda slope chi), as a system of first order
+        pull = learning * drives @ slope
+        system = np.block([[np.zeros((6, 6)), np.eye(6)], [-pull / damping, -(learning + spring) / damping]])
+        rate = -np.linalg.eigvals(system).real.max()
         # differences of 1e-6 leave about 1e-10 of slope, times the condition of the eigenvectors and the drive
-        rate = np.linalg.eigvals(slope * drives).real.min()
         assert pattern.rate == pytest.approx(rate, abs=1e-6)
         assert pattern.start == pytest.approx(np.linalg.eigvals(slope).real.min(), abs=1e-6)
         if pattern.end is None:
@@ -208,10 +236,20 @@ def test_runs_of_a_minute_end_where_predicted(found: Drift, composite: hs.Scenar
         assert gap < np.linalg.norm(pattern.end[:3]) * math.exp(-60 / slowest) + 5e-5, pattern.signs
 
 
-@pytest.mark.parametrize("law", ["composite", "computed_torque"])
-def test_a_run_creeps_with_the_time_constant(law: str, composite: hs.Scenario) -> None:
+@pytest.mark.parametrize(
+    ("law", "body"),
+    [
+        ("composite", {}),
+        ("computed_torque", {}),
+        ("composite", {"robot.payload": {"mass": 0.01, "position": [0.005, -0.003, -0.01], "known": True}}),
+        ("computed_torque", {"robot.payload": {"mass": 0.01, "position": [0.005, -0.003, -0.01], "known": True}}),
+        ("composite", {"robot.payload": {"mass": 0.01, "position": [0.005, 0.0, -0.01], "known": False}}),
+    ],
+)
+def test_a_run_creeps_with_the_time_constant(law: str, body: dict[str, Any], composite: hs.Scenario) -> None:
     scenario = composite.updated(
         {
+            **body,
             "controller.law": law,
             "uncertainty.depth": [0.3, -0.3, -0.3, 0.3],
             "simulation": {"duration": 60.0, "log_every": 1000},
@@ -255,6 +293,88 @@ def test_resolved_rate_drifts_away_as_fast_as_its_eigenvalue_says(paper: hs.Scen
     growth = math.log(gap[80] / gap[60]) / 2.0
     # beside the fastest mode slower ones are left after 6 s
     assert growth == pytest.approx(-result.own.rate, rel=0.05)
+
+
+# ---- Against the linear loop of camera_rate -------------------------------------------------------------------------
+
+
+def slowest_of_loop(scenario: hs.Scenario) -> float:
+    """Growth of the slowest mode of the linear loop at its goal [1/s], with a frame at every tick and no latency."""
+    return float(exponents(loop_at_rest(scenario).free, Clock(1, 0))[0].real)
+
+
+def weak_prior(factor: float, **changes: Any) -> hs.Scenario:
+    """Give a scenario of unequal depths in which no eigenvalue of E is negative, with drives of unequal axes."""
+    scenario = hs.load_scenario("moog-6dof2000e")
+    plain = {
+        "controller.composite.prior": (0.0212 * np.array(scenario.controller.composite.prior)).tolist(),
+        "controller.composite.drive": [4.0 * factor] * 3 + [1.4 * factor] * 3,
+        "controller.composite.kv": 0.0,
+        "uncertainty.depth": [-0.555, -0.555, 0.555, 0.555],
+        "robot.centre_of_mass": [0.0, 0.0, 0.0],
+        "robot.payload": {"mass": 0.0, "position": [0.0] * 3, "inertia": [0.0] * 3},
+    }
+    return scenario.updated({**plain, **changes})
+
+
+def test_gains_that_differ_between_axes_may_drift_away_though_no_eigenvalue_is_negative() -> None:
+    scenario = weak_prior(10.0)
+    result = drift.analyse(scenario)
+    assert result.own is not None
+    assert result.own.smallest > 0.0
+    assert result.own.slowest < 0.0
+    # the loop's own growth is that at its rest, of the goal; inertia is left out of the rate
+    assert result.own.goal_rate == pytest.approx(-slowest_of_loop(scenario), rel=0.1)
+    section = result.section()
+    assert section.verdict == "bad"
+    assert any("own depth errors" in text and "grows e-fold in" in text for text in section.sentences)
+    assert max(limit for limit in (result.limit_start, result.limit_goal) if limit is not None) < 0.555
+    own = size_of(result, 0.555)
+    assert own.worst.slowest == pytest.approx(min(p.slowest for p in own.patterns), abs=1e-9)
+    assert own.negative[0] >= 1
+
+
+@pytest.mark.parametrize(("adaptation", "drive"), [(50.0, 4.0), (50.0, 0.5), (1.0, 4.0)])
+def test_springs_stiffer_than_what_is_learned_slow_the_drift(
+    adaptation: float, drive: float, composite: hs.Scenario
+) -> None:
+    scenario = composite.updated(
+        {
+            "uncertainty": {"depth": 0.0, "inertia": 0.0, "coriolis": 0.0, "gravity": 0.0},
+            "controller.composite.drive": drive,
+            "controller.composite.fuzzy.adaptation": [0.01 * adaptation] * 3 + [3.0 * adaptation] * 3,
+        }
+    )
+    result = drift.analyse(scenario)
+    assert result.own is not None
+    # inertia, which the drift leaves out, and the tick are the rest
+    assert result.own.goal_rate == pytest.approx(-slowest_of_loop(scenario), rel=0.03)
+
+
+def test_a_spring_that_pushes_away_is_not_taken_for_a_drift_that_decays(composite: hs.Scenario) -> None:
+    """Where K_t E outweighs kappa both turn their signs, and chi-dot = (kappa + K_t E)^-1 kappa Lambda e decays."""
+    scenario = composite.updated(
+        {
+            "uncertainty.depth": [0.5, -0.5, -0.5, 0.5],
+            "controller.composite.prior": 1.0,
+            "controller.composite.kt": [600.0] * 3 + [1.5] * 3,
+            "controller.composite.fuzzy.adaptation": [1.0] * 3 + [300.0] * 3,
+        }
+    )
+    result = drift.analyse(scenario)
+    assert result.own is not None
+    assert result.own.rate < 0.0
+    assert slowest_of_loop(scenario) > 0.0
+    assert result.section().verdict == "bad"
+
+
+def test_axes_without_a_drive_are_excluded(composite: hs.Scenario) -> None:
+    result = drift.analyse(composite.updated({"controller.composite.drive": [4.0, 4.0, 4.0, 4.0, 4.0, 0.0]}))
+    assert result.springs == 1
+    assert result.own is not None
+    assert result.own.rate > 0.1
+    assert result.section().verdict == "good"
+    assert any("In 1 of the axes no pose error drives" in text for text in result.section().sentences)
 
 
 # ---- Where it does not apply, and its text --------------------------------------------------------------------------

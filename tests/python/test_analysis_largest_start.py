@@ -218,6 +218,21 @@ def test_a_task_that_starts_at_its_goal_has_no_direction(paper: hs.Scenario) -> 
     assert result.section().verdict == "open"
 
 
+def test_a_task_with_its_own_start_is_said_to_run_from_home(found: LargestStart, paper: hs.Scenario) -> None:
+    for changes in (
+        {"simulation.start.pose": [0.001, 0, 0, 0, 0, 0]},
+        {"simulation.start.twist": [0, 0, 0, 0, 0, 0.1]},
+    ):
+        short = paper.updated({**changes, "simulation.duration": 0.01, "metrics.dwell": 0.001})
+        assert largest_start.analyse(short).from_home
+    assert not found.from_home
+    assert any(text.startswith("The task itself,") for text in found.section().sentences)
+    for other in (replace(found, from_home=True), replace(found, from_home=True, timings=())):
+        texts = other.section().sentences
+        assert not any(text.startswith("The task itself") for text in texts)
+        assert any(text.startswith("The task's goal, from home at rest instead of the task's own") for text in texts)
+
+
 def test_a_task_that_needs_longer_gets_longer() -> None:
     scenario = hs.load_scenario("paper-no-fuzzy")
     trial = largest_start._Trial(scenario)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from copy import copy
 from dataclasses import replace
 from typing import Any
 
@@ -338,6 +339,18 @@ def test_the_verdict_counts_what_the_fuzzy_systems_hold(paper: hs.Scenario) -> N
     assert with_fuzzy is not None
     assert alone.largest < 2.0 < with_fuzzy.largest
     assert found.section().verdict == "warning"
+
+
+def test_the_verdict_counts_the_checked_poses(found: stiction.Stiction) -> None:
+    """A band between the linear bound and a pose that the law itself holds."""
+    largest = max(case.ends.largest for case in found.cases if case.ends is not None)
+    checked = max(case.confirmed for case in found.cases if case.confirmed is not None)
+    assert checked > largest
+    between = copy(found.scene)
+    between.band = 0.5 * (largest + checked)
+    section = replace(found, scene=between).section()
+    assert section.verdict == "warning"
+    assert any(f"{number(checked)} px at a checked pose" in text for text in section.sentences)
 
 
 def test_what_one_rule_takes_up_on_the_straight_way(found: stiction.Stiction, paper: hs.Scenario) -> None:

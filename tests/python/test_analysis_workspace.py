@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -263,6 +264,26 @@ def test_the_neighbourhood_is_no_better_than_the_goal(found: workspace.Workspace
     assert found.goal is not None
     assert 0 < found.neighbourhood_singularity <= found.goal.singularity
     assert found.neighbourhood_force >= np.abs(found.goal.actual_forces).max()
+
+
+def test_forces_around_the_goal_and_on_the_way_count_in_the_verdict(
+    found: workspace.Workspace, paper: hs.Scenario
+) -> None:
+    """A limit that leaves enough at start and goals, and too little around the goal, or on the way."""
+    assert found.goal is not None
+    assert found.nearest is not None
+    at_places = max(float(np.abs(place.actual_forces).max()) for place in (found.start, found.goal, found.nearest))
+    assert found.neighbourhood_force > at_places
+    limit = 0.5 * (at_places + found.neighbourhood_force) / 0.9  # of which 10 % are to be left
+    section = workspace.analyse(paper.updated({"robot.force_limit": limit})).section()
+    assert section.verdict == "warning"
+    assert section.sentences[0].startswith("Holding the platform")
+    # on the way the two ends, which are the start and the goal, are poses as well
+    assert found.way_force >= max(float(np.abs(place.actual_forces).max()) for place in (found.start, found.goal))
+    assert found.section().verdict == "good"
+    loaded = replace(found, way_force=0.95 * found.force_limit).section()
+    assert loaded.verdict == "warning"
+    assert f"and {number(0.95 * found.force_limit)} N on the straight path" in loaded.sentences[0]
 
 
 def test_a_camera_as_printed_leaves_the_legs_around_home(paper: hs.Scenario) -> None:

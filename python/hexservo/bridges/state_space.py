@@ -59,9 +59,9 @@ def control(scenario: Scenario, of: Literal["loop", "plant"] = "loop", *, sample
     -------
     control.StateSpace
         Inputs ``wrench_fx`` ... ``wrench_mz`` [N; N m], beyond the weight, and ``base_acceleration_x`` ... [m/s^2], in
-        B. Outputs ``feature_1x``, ``feature_1y``, ... [px] and ``pose_x`` ... ``pose_rz`` [m; rad], displacement from
-        rest in B. States begin with ``x_...`` (displacement) and ``v_...`` (twist); those of the loop go on with the
-        fuzzy systems that learn, sensors, commands and frames under way.
+        B, of a base that carries the target along. Outputs ``feature_1x``, ``feature_1y``, ... [px] and ``pose_x`` ...
+        ``pose_rz`` [m; rad], displacement from rest in B. States begin with ``x_...`` (displacement) and ``v_...``
+        (twist); those of the loop go on with the fuzzy systems that learn, sensors, commands and frames under way.
 
     Raises
     ------

@@ -24,14 +24,18 @@ def decay_rate(scenario: Scenario) -> float:
 def delay_margin(scenario: Scenario) -> float:
     """Return by how much the camera's latency may grow until the linear loop is unstable [s].
 
-    Negative for a loop that is stable with a smaller latency only; NaN where it is not stable with any, or where the
-    analysis does not apply (docs/analysis/camera_rate.md). A loop that no latency makes unstable has the largest one
-    that is looked at.
+    Negative for a loop that is stable with a smaller latency only, or with a larger one only; NaN where it is not
+    stable with any, or where the analysis does not apply (docs/analysis/camera_rate.md). A loop that no latency makes
+    unstable has the largest one that is looked at.
     """
     rate = _camera_rate(scenario, borders=True)
     if rate is None or rate.acting is None or rate.clock is None or rate.acting.latency.stable is None:
         return math.nan
-    return float((rate.acting.latency.stable - rate.clock.latency) * rate.scenario.simulation.step)
+    border, own = rate.acting.latency, rate.clock.latency
+    ticks = rate.acting.latency.stable - own
+    if border.least is not None and own < border.least:
+        ticks = own - border.least
+    return ticks * rate.scenario.simulation.step
 
 
 def _camera_rate(scenario: Scenario, *, borders: bool) -> CameraRate | None:

@@ -25,18 +25,25 @@ _MAP_POINTS = 16  # of each axis
 
 @dataclass(frozen=True)
 class Border:
-    """First stability limit in a whole number of ticks, from the scenario's own value upwards."""
+    """First stability limit in a whole number of ticks, from the scenario's own value upwards.
+
+    Of the stable range about that value, or of the nearest one that was found.
+    """
 
     stable: int | None  # last one found stable [ticks]; None: not even the least is
     unstable: int | None  # its neighbour that is not [ticks]; None: stable up to `looked_at`
     looked_at: int  # [ticks]
+    least: int | None = None  # first one that is stable, where a shorter one is not [ticks]; None: none is looked for
 
 
 @dataclass(frozen=True)
 class Margins:
-    """Stability limits and margins of a loop, for one treatment of K_v."""
+    """Stability limits and margins of a loop, for one treatment of K_v.
 
-    stable: bool  # no mode grows that would not grow with a perfect camera as well
+    Period and latency without a search are the loop's own where it is stable, with `Border.unstable` None.
+    """
+
+    stable: bool  # with the scenario's camera nothing grows but at most `MOST_DRIFTS` drifts
     radius: float  # spectral radius over one camera period, all modes but the resting ones
     rate: float  # growth of the slowest of them [1/s]; negative: it decays
     frequency: float  # of it [Hz]
@@ -44,11 +51,16 @@ class Margins:
     drift_rate: float  # growth of the fastest of them, with a frame at each tick and no latency [1/s]; NaN: none
     perfect: bool  # with that camera nothing grows but at most `MOST_DRIFTS` drifts
     resting: int  # modes that stay whatever the clocks are, taken out
-    period: Border  # at the scenario's latency
+    period: Border  # at the scenario's latency; lower ends (`Border.least`) only where not `perfect`
     latency: Border  # at the scenario's period
     gain: tuple[float | None, float | None]  # factors at which stability changes, below and above 1; None: none
     border_frequency: float  # of the mode that crosses first, by gain upwards, latency or period [Hz]; NaN: none
     motion: Array | None  # (6,) of that mode, linear, then angular times the platform's radius; largest is 1
+
+    @property
+    def has_camera(self) -> bool:
+        """Whether there is a camera with which nothing grows but drifts: a perfect one, or one that was found."""
+        return self.perfect or self.period.stable is not None or self.latency.stable is not None
 
 
 def _drifts(loop: SampledLoop) -> tuple[int, float, bool]:
@@ -61,26 +73,61 @@ def _drifts(loop: SampledLoop) -> tuple[int, float, bool]:
     return int(real.sum()), rate, bool(real.all()) and len(growing) <= MOST_DRIFTS
 
 
-def _first_border(stable: Callable[[int], bool], now: int, least: int, most: int, least_step: int) -> Border:
-    """Step away from a whole number until stability changes, then halve the last step."""
-    up = stable(now)
-    here = now
-    while True:
+def _holds(loop: SampledLoop, clock: Clock, allowed: int) -> bool:
+    """Return whether no more modes grow than are allowed."""
+    try:
+        with np.errstate(over="raise", invalid="raise"):
+            return loop.growing(clock) <= allowed
+    except FloatingPointError:  # a mode grows beyond all numbers in one pattern
+        return False
+
+
+def _change(stable: Callable[[int], bool], start: int, end: int, least_step: int) -> tuple[int, int | None]:
+    """Step from one whole number towards another until stability changes, then halve the last step.
+
+    Returns the last number with the stability of the first, and its neighbour without; None: all have it.
+    """
+    first, here = stable(start), start
+    while here != end:
         step = max(1, (here + least_step) // 8)
-        there = min(here + step, most) if up else max(here - step, least)
-        if there == here:
-            return Border(here, None, most) if up else Border(None, here, least)
-        if stable(there) != up:
+        there = min(here + step, end) if end > start else max(here - step, end)
+        if stable(there) != first:
             break
         here = there
-    inside, outside = (here, there) if up else (there, here)
-    while abs(outside - inside) > 1:
-        middle = (inside + outside) // 2
-        if stable(middle):
-            inside = middle
+    else:
+        return here, None
+    while abs(there - here) > 1:
+        middle = (here + there) // 2
+        if stable(middle) == first:
+            here = middle
         else:
-            outside = middle
-    return Border(inside, outside, most)
+            there = middle
+    return here, there
+
+
+def _first_border(
+    stable: Callable[[int], bool], now: int, least: int, most: int, least_step: int, *, both: bool
+) -> Border:
+    """Search the stable range at a whole number, or else the nearest one below it.
+
+    With `both` ranges above it count as well, and the lower end of the range is searched.
+    """
+    beyond, inside, lowest = None, now, None
+    if stable(now):
+        inside, beyond = _change(stable, now, most, least_step)
+    else:
+        beyond, below = _change(stable, now, least, least_step)
+        if below is not None:
+            inside = below
+        else:
+            _, lowest = _change(stable, now, most, least_step) if both else (now, None)
+            if lowest is None:
+                return Border(None, least, least)
+            inside, beyond = _change(stable, lowest, most, least_step)
+    if both and lowest is None:
+        last, shorter = _change(stable, min(inside, now), least, least_step)
+        lowest = None if shorter is None else last
+    return Border(inside, beyond, most, lowest)
 
 
 def gain_border(stable: Callable[[float], bool], up: bool) -> float | None:
@@ -182,12 +229,14 @@ def loop_margins(loop: SampledLoop, clock: Clock, radius: float = 1.0, *, border
         With more than `most_frames` under way at the loop's own clocks.
     """
     drifts, drift_rate, perfect = _drifts(loop)
+    wrong = drifts > MOST_DRIFTS  # a sign, which no camera mends
+    allowed = 0 if wrong else drifts
 
     def holds(period: int, latency: int) -> bool:
-        return loop.growing(Clock(period, latency)) <= drifts
+        return _holds(loop, Clock(period, latency), allowed)
 
     def holds_at(factor: float) -> bool:
-        return replace(loop, gain=loop.gain * factor).growing(clock) <= drifts
+        return _holds(replace(loop, gain=loop.gain * factor), clock, allowed)
 
     if clock.latency > most_frames(loop) * clock.period:
         raise ValueError(f"clock: expected at most {most_frames(loop)} frames under way, got {clock}")
@@ -195,19 +244,24 @@ def loop_margins(loop: SampledLoop, clock: Clock, radius: float = 1.0, *, border
     stable = holds(clock.period, clock.latency)
     most = round(LONGEST / loop.tick)
     most_period, most_latency, least_period = max(most, 10 * clock.period), max(most, 10 * clock.latency), 1
-    if loop.reading > 1:  # where growing modes cannot be counted
+    crowded = not perfect and clock.latency > loop.few * clock.period
+    # Growing modes cannot be counted where sensors have a period, nor where they may grow fast: determinants are then
+    # all rounding. Clocks with few frames under way have eigenvalues.
+    if loop.reading > 1 or not perfect:
         most_latency, least_period = min(most_latency, loop.few * clock.period), max(1, -(-clock.latency // loop.few))
     none: tuple[float | None, float | None] = (None, None)
-    if not borders:
-        fine = stable and perfect
-        period = Border(clock.period if fine else None, None, clock.period)
-        latency, gain = Border(clock.latency if fine else None, None, clock.latency), none
-    elif perfect:
-        period = _first_border(lambda value: holds(value, clock.latency), clock.period, least_period, most_period, 0)
-        latency = _first_border(lambda value: holds(clock.period, value), clock.latency, 0, most_latency, clock.period)
-        gain = (gain_border(holds_at, up=False), gain_border(holds_at, up=True))
+    if not borders or wrong or crowded:
+        period = Border(clock.period if stable else None, None, clock.period)
+        latency, gain = Border(clock.latency if stable else None, None, clock.latency), none
     else:
-        period, latency, gain = Border(None, clock.period, 1), Border(None, clock.latency, 0), none
+        both = not perfect  # then a camera may be too fast as well
+        period = _first_border(
+            lambda value: holds(value, clock.latency), clock.period, least_period, most_period, 0, both=both
+        )
+        latency = _first_border(
+            lambda value: holds(clock.period, value), clock.latency, 0, most_latency, clock.period, both=both
+        )
+        gain = (gain_border(holds_at, up=False), gain_border(holds_at, up=True))
 
     frequency, motion = float("nan"), None
     sides = _sides(loop, clock, period, latency, gain) if borders else None
@@ -217,7 +271,7 @@ def loop_margins(loop: SampledLoop, clock: Clock, radius: float = 1.0, *, border
         sizes = np.abs(motion_of(*sides[1], new)) * np.repeat([1.0, radius], 3)
         motion = sizes / max(float(sizes.max()), 1e-300)
     return Margins(
-        stable=stable and perfect,
+        stable=stable,
         radius=float(np.exp(slowest.real * clock.period * loop.tick)),
         rate=float(slowest.real),
         frequency=float(abs(slowest.imag) / (2.0 * np.pi)),

@@ -93,9 +93,10 @@ class CameraRate(Part):
     def settles(self) -> bool | None:
         """Whether the runs from small starting errors all settle; None if they are inconclusive.
 
+        Runs that K_v holds where they start count for nothing.
         With a drift, which grows with any camera, runs are inconclusive where the linear loop is stable.
         """
-        endings = {run.ending for run in self.starts}
+        endings = {run.ending for run in self.starts} - {"held"}
         drifting = self.acting is not None and self.acting.stable and self.acting.drifts > 0
         if endings & {"goes on", "limit", "ended"}:
             return None if drifting else False
@@ -122,7 +123,9 @@ def _check(at_rest: LoopAtRest, found: Margins) -> tuple[BorderRun, ...]:
     loop = loop_at_rest(home).free
     clock, tick = clock_of(home), home.simulation.step
     drifts = found.drifts
-    if loop.growing(Clock(1, 0)) != drifts:  # another attitude, another verdict: nothing to compare
+    if loop.growing(Clock(1, 0)) != at_rest.free.growing(
+        Clock(1, 0)
+    ):  # another attitude, another verdict: nothing to compare
         return ()
     border = found.gain[1] if found.gain[1] is not None else found.gain[0]
     if border is not None:
@@ -235,7 +238,7 @@ def analyse(scenario: Scenario, *, borders: bool = True) -> CameraRate:
     if not borders:
         return result
     result = replace(result, learned=_learned(at_rest, clock, radius, acting is smooth))
-    if not free.perfect:  # no border that a camera could have: see `_section`
+    if not free.has_camera:  # no border to map
         return result
     periods, latencies, radii = radius_map(at_rest.free, clock, free)
     result = replace(result, periods=periods, latencies=latencies, radii=radii, runs=_check(at_rest, free))

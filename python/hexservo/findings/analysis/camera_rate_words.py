@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hexservo.findings.analysis.camera_margins import LARGEST_FACTOR, Border, Margins
+from hexservo.findings.analysis.camera_margins import LARGEST_FACTOR, MOST_DRIFTS, Border, Margins
 from hexservo.findings.analysis.camera_rate import OF_GROWTH, CameraRate
 from hexservo.findings.analysis.linear_loop import Clock
 from hexservo.findings.analysis.loop_of_scenario import OFFSET as START
@@ -59,7 +59,7 @@ def _verdict(result: CameraRate, clock: Clock, acting: Margins) -> Verdict:
     small = acting.gain[1] is not None and acting.gain[1] < ENOUGH_GAIN
     late = acting.latency.unstable is not None and acting.latency.unstable - clock.latency <= clock.period
     doubtful = any(not run.agrees for run in result.runs)
-    return "warning" if small or late or acting.drifts or doubtful or beyond else "good"
+    return "warning" if small or late or acting.drifts or doubtful or beyond or not acting.perfect else "good"
 
 
 def _leg_unit(result: CameraRate) -> str:
@@ -73,6 +73,10 @@ def _ms(seconds: float) -> str:
 def _at_most(border: Border, tick: float, what: str) -> str:
     if border.stable is None:
         return f"no {what} is short enough"
+    if border.least is not None:
+        longest = border.looked_at if border.unstable is None else border.stable
+        ends = "the largest searched" if border.unstable is None else "beyond which it is unstable again"
+        return f"the {what} must be at least {_ms(border.least * tick)}, and may be up to {_ms(longest * tick)}, {ends}"
     if border.unstable is None:
         return f"it is stable at every {what} searched, up to {_ms(border.looked_at * tick)}"
     return f"the {what} may be at most {_ms(border.stable * tick)}"
@@ -96,13 +100,18 @@ def _sentences(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Marg
         f"{_at_most(acting.latency, tick, 'latency')} (it is {latency}{_delay_margin(acting, clock, tick)})"
     )
     follows = result.stable is True and not acting.stable  # the verdict is that of runs
-    if not acting.perfect:
+    if not acting.has_camera:
         none = "The linear loop is stable with no camera" if follows else "No camera is fast enough"
         first = f"{none}: even with a frame at every tick and no latency a mode of the loop grows. " + (
             "Several directions are driven the wrong way, as with a wrong sign of the image Jacobian "
             "(controller.jacobian, camera.convention)."
-            if acting.drifts
+            if acting.drifts > MOST_DRIFTS
             else "The law's gains do not suit the servo period, the sensors or the actuators."
+        )
+    elif not acting.perfect:
+        first = (
+            "With a frame at every tick and no latency a mode of the loop grows: it is unstable with a perfect camera, "
+            f"and {'stable' if acting.stable else 'unstable'} with this one: {borders}."
         )
     elif not acting.stable:
         damped = result.smooth is not None and result.smooth.stable
@@ -112,7 +121,7 @@ def _sentences(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Marg
         which = "linear loop, which does not decide" if result.stable is False else "loop"
         first = f"The camera is fast enough for the {which}: {borders}."
     found = [first]
-    if acting.perfect and acting.drifts:
+    if acting.has_camera and acting.drifts:
         drift = (
             f"{acting.drifts} of the modes drifts away with any camera, at {acting.drift_rate:.3g} 1/s with a perfect "
             "one: the assumed depths reverse a direction that is weakly observable in the image. The "
@@ -169,7 +178,7 @@ def _about_kv(result: CameraRate, free: Margins, tick: float) -> list[str]:
     slope = f"the slope k_v/width of tanh or saturation (width {width:g} m/s and rad/s)"
     other, text = (free, "With K_v = 0") if result.acting is smooth else (smooth, f"With {slope}")
     taken = f"K_v acts with {slope}" if result.acting is smooth else f"K_v counts as zero, since {kind} has no slope"
-    if other.perfect:
+    if other.has_camera:
         verdict = "would be stable" if other.stable else "would be unstable"
         rest = f"{verdict}; {_at_most(other.period, tick, 'period')}, and {_at_most(other.latency, tick, 'latency')}"
     else:
@@ -179,6 +188,7 @@ def _about_kv(result: CameraRate, free: Margins, tick: float) -> list[str]:
 
 _ENDINGS = {
     "settles": "comes to rest",
+    "held": "is held where it starts",
     "goes on": "does not come to rest",
     "limit": "takes a leg beyond a limit",
     "ended": "ends early",
@@ -191,8 +201,8 @@ def _about_starts(result: CameraRate, acting: Margins) -> list[str]:
     if not result.starts:
         return ["No run from a small start checks this: the law refuses the image of rest as a goal."]
     ends = " and ".join(
-        f"the one from {run.offset:g} px {_ENDINGS[run.ending]} (at most {number(run.peak)} px, legs "
-        f"{number(1e3 * run.travel)} {_leg_unit(result)})"
+        f"the one from {run.offset:g} px {_ENDINGS[run.ending]} (at most {number(run.peak)} px, at the "
+        f"end {number(run.end)} px, legs {number(1e3 * run.travel)} {_leg_unit(result)})"
         for run in result.starts
     )
     longest = max(run.duration for run in result.starts)
@@ -217,7 +227,7 @@ def _about_learned(result: CameraRate, tick: float) -> list[str]:
     if learned is None:
         return ["The task itself does not settle in the sampled loop: there are no learned weights to linearise at."]
     mode = f"its slowest mode {'grows' if learned.rate > 0.0 else 'decays'} at {abs(learned.rate):.3g} 1/s"
-    if not learned.perfect:
+    if not learned.has_camera:
         return [f"At the weights at the end of the task's own run the loop is unstable with any camera: {mode}."]
     return [
         f"At the weights at the end of the task's own run the loop is {'stable' if learned.stable else 'unstable'}: "
@@ -403,6 +413,7 @@ def _data(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins) 
 
     def times(border: Border) -> dict[str, float | None]:
         return {
+            "smallest_stable": None if border.least is None else border.least * tick,
             "largest_stable": None if border.stable is None else border.stable * tick,
             "smallest_unstable": None if border.unstable is None else border.unstable * tick,
             "looked_at": border.looked_at * tick,
@@ -436,7 +447,12 @@ def _data(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins) 
         "with_learned_weights": None if result.learned is None else numbers(result.learned),
         "settles": result.settles,
         "starts": [
-            {**picked(run, "offset duration ending"), "peak_error": run.peak, "leg_travel": run.travel}
+            {
+                **picked(run, "offset duration ending"),
+                "peak_error": run.peak,
+                "end_error": run.end,
+                "leg_travel": run.travel,
+            }
             for run in result.starts
         ],
         "limits": {

@@ -7,12 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hexservo import _core
 from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.poses import Poses, without_sign
 from hexservo.findings.analysis.rest import Rest, not_analysed
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array, Mask
+from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario
 
 SIZES = (0.05, 0.3)  # of depth errors, beside the scenario's own
@@ -20,6 +22,7 @@ LARGEST = 0.95  # that is searched; at 1 an assumed depth is zero
 GRID = 20  # sizes up to it before the bisection, so that a border that is not the only one is found
 _ROUNDS = 20  # of bisection
 _CREEP_ROUNDS = 30  # of the search for the end of the drift
+_FAST = 1e-6  # [s], least time constant of the springs that damping leaves: far below a drift's
 _POINTS = 4  # whose patterns are analysed
 _SIGNS = np.array(list(itertools.product((1.0, -1.0), repeat=_POINTS)))  # (16, 4)
 
@@ -34,6 +37,7 @@ class Pattern:
     goal: float  # the same at the goal; NaN where there is no goal pose
     direction: Array  # (6,) [m; rad], in B: the one that belongs to `start`
     rate: float  # [1/s], smallest real part of the drift's rates, at the start
+    goal_rate: float  # [1/s], the same at the goal; NaN where there is no goal pose
     end: Array | None  # (6,) from home [m; rad], where the pose error is zero; None where none attracts
     end_rate: float  # [1/s], as `rate`, there
     end_error: float  # [px], largest |xi_d - xi| there
@@ -42,18 +46,28 @@ class Pattern:
 
     @property
     def smallest(self) -> float:
-        """Smallest real part of an eigenvalue at start and goal [1]."""
+        """Smallest real part of an eigenvalue of the loop matrix at start and goal [1]."""
         return float(np.nanmin([self.start, self.goal]))
 
     @property
+    def slowest(self) -> float:
+        """Smallest real part of the drift's rates at start and goal [1/s]; not positive: the pose error grows there."""
+        return float(np.nanmin([self.rate, self.goal_rate]))
+
+    @property
     def rank(self) -> float:
-        """`smallest`, rounded: two patterns that symmetry makes equal are not ordered by their rounding errors."""
-        return round(self.smallest, 9)
+        """`slowest`, rounded: two patterns that symmetry makes equal are not ordered by their rounding errors."""
+        return round(self.slowest, 9)
 
     @property
     def time_constant(self) -> float:
         """1/rate [s]: time constant of the creep if positive, of the growth if negative."""
-        return 1.0 / self.rate if self.rate != 0.0 else np.inf
+        return _time_constant(self.rate)
+
+    @property
+    def goal_time_constant(self) -> float:
+        """1/goal_rate [s]; NaN without a goal pose."""
+        return _time_constant(self.goal_rate)
 
     @property
     def end_time_constant(self) -> float:
@@ -67,19 +81,19 @@ class Size:
 
     size: float  # |delta_Z|
     patterns: tuple[Pattern, ...]
-    negative: tuple[int, int]  # at start and goal, of the 14 patterns that differ: how many have a negative eigenvalue
+    negative: tuple[int, int]  # at start and goal, of the 14 patterns that differ: how many have a negative rate
     negative_inverse_only: tuple[int, int]  # the same with the prior in the inverse alone
     negative_image_only: tuple[int, int]  # the same without a prior, M = 0
 
     @property
     def worst(self) -> Pattern:
-        """The pattern with the smallest eigenvalue at start or goal."""
+        """The pattern with the smallest rate at start or goal."""
         return min(self.patterns, key=lambda pattern: pattern.rank)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Drift(Part):
-    """Eigenvalues that decide the drift, or why there are none."""
+    """Rates of the drift, with the eigenvalues behind them, or why there are none."""
 
     law: str
     open_because: str  # empty where the analysis applies
@@ -88,20 +102,20 @@ class Drift(Part):
     stroke: float = 0.0  # [m]
     own: Pattern | None = None  # the scenario's own depth errors
     sizes: tuple[Size, ...] = ()  # by size; the scenario's own among them
-    limit_start: float | None = (
-        None  # |delta_Z| up to which all patterns are positive; None: up to the largest searched
-    )
+    # |delta_Z| up to which the rates of all patterns are positive; None: up to the largest searched
+    limit_start: float | None = None
     limit_goal: float | None = None
     has_goal: bool = True
     has_prior: bool = True  # one that is expected, not only in the inverse
     leaks: bool = False  # the weights that integrate
     grid: Array | None = None  # (n,) sizes
-    curves: dict[str, Array] | None = None  # (n,) smallest eigenvalue over all patterns, by place and prior
+    curves: dict[str, Array] | None = None  # (n,) smallest rate over all patterns [1/s], by place and prior
+    springs: int = 0  # axes without a drive, where nothing drifts: the rates are those of the others
     leg_unit: str = "mm"  # a thousandth of the unit of leg travel
 
 
 def analyse(scenario: Scenario) -> Drift:
-    """Compute the eigenvalues that decide the drift of a law with a pose error (docs/analysis/drift.md).
+    """Compute the rates of the drift of a law with a pose error (docs/analysis/drift.md).
 
     Raises
     ------
@@ -109,7 +123,7 @@ def analyse(scenario: Scenario) -> Drift:
         For a scenario that the core refuses.
     """
     law = scenario.controller.law
-    if reason := not_analysed(scenario, _not_for(scenario)):
+    if reason := not_analysed(scenario, _not_for(scenario), any_body=True):
         return Drift(law, reason)
     if getattr(scenario.controller.gains, "jacobian_at", "current") != "current":
         return Drift(law, f"{law} with a Jacobian of the goal: not analysed, since no depth of an image enters.")
@@ -153,6 +167,10 @@ def loop_matrix(known: Array, true: Array, inverse: Array, expected: Array) -> A
     return found
 
 
+def _time_constant(rate: float) -> float:
+    return 1.0 / rate if rate != 0.0 else np.inf
+
+
 class _Worker:
     """Computations for one scenario, shared by all places and patterns."""
 
@@ -169,21 +187,25 @@ class _Worker:
         self.inverse = np.array(getattr(self.gains, self.traits.inverse))
         self.expected = self.inverse if self.traits.prior else np.zeros(6)
         self.drive, self.driven_by = self._drive()
+        self.springs = 6 - int(np.linalg.matrix_rank(self.drive))  # axes in which no pose error becomes a velocity
+        self.learning = self._learning() if self.integrates else np.zeros(6)
 
     def _drive(self) -> tuple[Array, str]:
-        """Return the matrix (6, 6) from a small pose error to a velocity [1/s], where all else is faster."""
+        """Return the matrix (6, 6) from a small pose error to a velocity [1/s], and what it is.
+
+        Of fuzzy systems it is Lambda, which drives them.
+        """
         gains = self.gains
         if self.traits.output == "twist":
             return float(gains.gain) * np.eye(6), "its gain times the eigenvalue"
         if self.integrates:
-            return np.diag(gains.drive), "Lambda times the eigenvalue"
+            return np.diag(gains.drive), "Lambda, less what the springs of the law and its damping take"
         spring = "kt" if hasattr(gains, "kt") else "kp"  # K_p of a law with an image spring is that of the image
         friction = ", K_v aside" if self.traits.switching else ""
         pulls, damps = np.diag(getattr(gains, spring)), np.diag(gains.kd)
         ratio = f"K_{spring[1]}/K_d"
-        scenario = self.rest.scenario
-        resists = np.broadcast_to(scenario.controller.virtual_platform.damping, 6)
-        if scenario.actuators.takes_positions and resists.any():  # what moves is the virtual platform
+        resists = self._virtual_damping
+        if resists.any():
             if spring == "kp":  # accelerations
                 inertia = self.rest.probe.inertia(self.rest.home.rows.quaternion)[0]
                 pulls, damps = inertia @ pulls, inertia @ damps
@@ -192,38 +214,79 @@ class _Worker:
         return np.linalg.solve(damps, pulls), f"{ratio} times the eigenvalue{friction}"
 
     @property
+    def _virtual_damping(self) -> Array:
+        """Damping (6,) of the virtual platform that moves where the legs take positions [N s/m; N m s/rad], else 0."""
+        scenario = self.rest.scenario
+        return np.broadcast_to(scenario.controller.virtual_platform.damping, 6) * scenario.actuators.takes_positions
+
+    def _learning(self) -> Array:
+        """Return kappa = |phi-bar|^2/Psi (6,) [N/m; N m/rad]: output of the fuzzy systems per displacement, at rest."""
+        settings = core_parameters(self.rest.scenario)
+        settings[f"controller.{settings.law}.fuzzy.error_scale"] = np.zeros(6)  # the input is 0 at any pose
+        home = self.rest.home.rows
+        features, depth = self.rest.image(home)
+        law = _core.Probe(settings).law(features, depth, home.position, home.quaternion, np.zeros((1, 6)))
+        assert law.error_memberships is not None
+        assert law.rate_memberships is not None
+        fire = [np.sum(of[0] ** 2, axis=1) for of in (law.error_memberships, law.rate_memberships)]
+        return np.asarray(fire[0] * fire[1] / self.gains.fuzzy.adaptation)
+
+    @property
     def integrates(self) -> bool:
         """Whether fuzzy systems are driven by the pose error."""
         return self.traits.memory and bool(self.gains.fuzzy.enabled)
 
     def jacobian(self, poses: Poses, features: Array, depth: Array, errors: Array | None = None) -> Array:
-        """Return sqrt(W) J (..., 2p, 6), or with depth errors sqrt(W) J-hat, the law's at (1 + delta) Z, (9)."""
+        """Return J (..., 2p, 6), or with depth errors J-hat, the law's at (1 + delta) Z, (9)."""
         if errors is None:
-            return self.root * self.rest.jacobian(features, depth, poses)
-        return self.root * self.rest.jacobian(features, (1.0 + errors) * depth, poses, assumed=True)
+            return self.rest.jacobian(features, depth, poses)
+        return self.rest.jacobian(features, (1.0 + errors) * depth, poses, assumed=True)
 
     def known(self, place: int, errors: Array) -> Array:
-        """Return sqrt(W) J-hat (n, 2p, 6) at a place for depth errors (n, p)."""
+        """Return J-hat (n, 2p, 6) at a place for depth errors (n, p)."""
         pose, features, depth = self.places[place]
         count = len(errors)
         return self.jacobian(pose.repeated(count), np.tile(features, (count, 1)), depth, errors)
 
-    def matrix(self, poses: Poses, features: Array, depth: Array, errors: Array) -> Array:
-        """Return the loop matrix at poses (n,) from which an image is seen, for depth errors (n, p)."""
-        known, true = self.jacobian(poses, features, depth, errors), self.jacobian(poses, features, depth)
-        return loop_matrix(known, true, self.inverse, self.expected)
+    def matrix(self, known: Array, true: Array, inverse: Array | None = None, expected: Array | None = None) -> Array:
+        """Return the loop matrix E (n, 6, 6) of J-hat (n, 2p, 6) and J, with the law's own prior or another."""
+        inverse = self.inverse if inverse is None else inverse
+        expected = self.expected if expected is None else expected
+        return loop_matrix(self.root * known, self.root * true, inverse, expected)
 
-    def smallest(self, place: int, errors: Array, inverse: Array, expected: Array) -> Array:
-        """Return the smallest real part of an eigenvalue of the loop matrix, (n,)."""
-        matrix = loop_matrix(self.known(place, errors), self.true[place], inverse, expected)
-        return np.asarray(np.linalg.eigvals(matrix).real.min(axis=1))
+    def slowest(self, known: Array, true: Array, inverse: Array | None = None, expected: Array | None = None) -> Array:
+        """Return the smallest real part of the drift's rates [1/s], (n,), of J-hat (n, 2p, 6) and J: see `matrix`."""
+        error = self.matrix(known, true, inverse, expected)
+        if not self.integrates:
+            return self._smallest_of(error @ self.drive)
+        gains, learning = self.gains, np.diag(self.learning)
+        image = np.swapaxes(known, -1, -2) @ (gains.kp[:, None] * true)
+        stiffness = learning + gains.kt[:, None] * error + image
+        damping = gains.kd + self._virtual_damping
+        # An axis without damping has some: what is that fast does not count, but for its sign.
+        damping = np.maximum(damping, _FAST * (self.learning + gains.kt))[:, None]
+        # K_d chi'' + (kappa + K_t E + J-hat^T K_p J) chi' + kappa Lambda E chi = 0, with minus its rates as eigenvalues
+        motion = np.zeros((*error.shape[:-2], 12, 12))
+        motion[..., :6, 6:] = -np.eye(6)
+        motion[..., 6:, :6] = learning @ self.drive @ error / damping
+        motion[..., 6:, 6:] = stiffness / damping
+        return self._smallest_of(motion)
+
+    def _smallest_of(self, matrix: Array) -> Array:
+        """Return the smallest real part of an eigenvalue, (n,), without those of axes that have no drive."""
+        values = np.linalg.eigvals(matrix)
+        order = np.argsort(np.abs(values), axis=-1)[..., self.springs :]
+        return np.asarray(np.take_along_axis(values, order, axis=-1).real.min(axis=-1, initial=np.inf))
+
+    def slowest_at(self, place: int, errors: Array, *prior: Array) -> Array:
+        """Return `slowest` at a place for depth errors (n, p)."""
+        return self.slowest(self.known(place, errors), self.true[place], *prior)
 
     def patterns(self, errors: Array) -> tuple[Pattern, ...]:
         """Describe depth errors (n, p)."""
-        matrix = loop_matrix(self.known(0, errors), self.true[0], self.inverse, self.expected)
         unit = self.rest.unit
-        values, vectors = np.linalg.eig(matrix * unit / unit[:, None])
-        rates = np.linalg.eigvals(matrix @ self.drive).real.min(axis=1)
+        values, vectors = np.linalg.eig(self.matrix(self.known(0, errors), self.true[0]) * unit / unit[:, None])
+        rates = self.slowest_at(0, errors)
         ends, ended = self.ends(errors)
         end_rates = self.rates_at(ends, errors, ended)
         ended &= end_rates > 0.0  # an end that does not attract is none
@@ -231,10 +294,10 @@ class _Worker:
         travel = np.abs(self.rest.leg_travel(ends)).max(axis=1)
         left = self.rest.limits_left(ends)
         moved = ends.displacement_from(self.rest.home)
+        at_goal = goal_rates = np.full(len(errors), np.nan)
         if len(self.places) > 1:
-            at_goal = self.smallest(1, errors, self.inverse, self.expected)
-        else:
-            at_goal = np.full(len(errors), np.nan)
+            at_goal = np.linalg.eigvals(self.matrix(self.known(1, errors), self.true[1])).real.min(axis=1)
+            goal_rates = self.slowest_at(1, errors)
         found = []
         for i, error in enumerate(errors):
             least = int(np.argmin(values[i].real))
@@ -247,6 +310,7 @@ class _Worker:
                     float(at_goal[i]),
                     direction * unit / np.linalg.norm(direction),
                     float(rates[i]),
+                    float(goal_rates[i]),
                     moved[i] if ended[i] else None,
                     float(end_rates[i]) if ended[i] else np.nan,
                     float(np.abs(self.rest.desired - seen[i]).max()) if ended[i] else np.nan,
@@ -270,7 +334,8 @@ class _Worker:
             at = (there.position, there.quaternion, np.zeros((len(there), 6)))
             error = self.rest.probe.law(features[seen], (1.0 + errors[seen]) * depth[seen], *at).pose_error
             assert error is not None  # a law with a prior regulates one
-            slope = self.matrix(there, features[seen], depth[seen], errors[seen])
+            image = (there, features[seen], depth[seen])
+            slope = self.matrix(self.jacobian(*image, errors[seen]), self.jacobian(*image))
             step = np.zeros((count, 6))
             step[seen] = np.linalg.solve(slope, error[..., None])[..., 0]
             scaled = np.abs(step / self.rest.unit).max(axis=1)
@@ -283,19 +348,19 @@ class _Worker:
         result = np.full(len(poses), np.nan)
         if rows.any():
             there = poses[rows]
-            matrix = self.matrix(there, *self.rest.image(there), errors[rows])
-            result[rows] = np.linalg.eigvals(matrix @ self.drive).real.min(axis=1)
+            image = (there, *self.rest.image(there))
+            result[rows] = self.slowest(self.jacobian(*image, errors[rows]), self.jacobian(*image))
         return result
 
     def size(self, size: float) -> Size:
-        """Describe all patterns of a size, and count those with a negative eigenvalue."""
+        """Describe all patterns of a size, and count those with a negative rate."""
         errors = size * _SIGNS
         unequal = errors[1:-1]
         none = np.zeros(6)
 
         def negative(inverse: Array, expected: Array) -> tuple[int, int]:
             start, *goal = (
-                int((self.smallest(k, unequal, inverse, expected) < 0.0).sum()) for k in range(len(self.places))
+                int((self.slowest_at(k, unequal, inverse, expected) < 0.0).sum()) for k in range(len(self.places))
             )
             return start, goal[0] if goal else 0
 
@@ -308,12 +373,12 @@ class _Worker:
         )
 
     def over_sizes(self, place: int, sizes: Array, inverse: Array, expected: Array) -> Array:
-        """Return the smallest eigenvalue over all patterns for each size, (n,)."""
+        """Return the smallest rate over all patterns for each size, (n,) [1/s]."""
         errors = (sizes[:, None, None] * _SIGNS).reshape(-1, 4)
-        return np.asarray(self.smallest(place, errors, inverse, expected).reshape(len(sizes), -1).min(axis=1))
+        return np.asarray(self.slowest_at(place, errors, inverse, expected).reshape(len(sizes), -1).min(axis=1))
 
     def limit(self, place: int, grid: Array, values: Array) -> float | None:
-        """Return the size at which the first pattern loses its positive eigenvalue, between two sizes of the grid."""
+        """Return the size at which the first pattern loses its positive rate, between two sizes of the grid."""
         lost = np.flatnonzero(values <= 0.0)
         if not len(lost):
             return None
@@ -354,5 +419,6 @@ class _Worker:
             self.integrates and bool(np.any(self.gains.fuzzy.leakage)),
             grid,
             curves,
+            springs=self.springs,
             leg_unit=self.rest.units.small,
         )

@@ -14,7 +14,7 @@ PAGE = "docs/analysis/drift.md"
 
 
 def section(found: Drift) -> Section:
-    """Return sentences, the sixteen patterns, the sizes, and the smallest eigenvalue over the size."""
+    """Return sentences, the sixteen patterns, the sizes, and the smallest rate over the size."""
     title = "Slow drift under unequal depth errors"
     if found.open_because:
         return open_section("drift", title, found.open_because)
@@ -23,9 +23,9 @@ def section(found: Drift) -> Section:
 
 def _verdict(found: Drift) -> Verdict:
     assert found.own is not None
-    if found.own.smallest <= 0.0:
+    if found.own.slowest <= 0.0:
         return "bad"
-    return "warning" if _chosen(found).worst.smallest <= 0.0 or _beyond(found, found.own) else "good"
+    return "warning" if _chosen(found).worst.slowest <= 0.0 or _beyond(found, found.own) else "good"
 
 
 def _sentences(found: Drift) -> list[str]:
@@ -38,27 +38,26 @@ def _sentences(found: Drift) -> list[str]:
         + (f" and {worst.goal:.3g} at the goal" if found.has_goal else "")
         + f", along {direction_words(worst.direction, found.depth)}."
     ]
-    if worst.rate > 0.0:
+    if worst.slowest > 0.0:
         words.append(
             f"There {found.law} creeps with a time constant of {worst.time_constant:.3g} s at the start "
             f"({found.driven_by})" + _end_words(found, worst) + "."
         )
     else:
         words.append(
-            f"There {found.law} drifts away: the pose error grows e-fold in {-worst.time_constant:.3g} s "
-            f"({found.driven_by}) until another effect stops it."
+            f"There {found.law} drifts away: {_growth(worst)} ({found.driven_by}) until another effect stops it."
         )
     own = found.own
     if np.ptp(own.errors) > 0.0:
-        words.append(
-            f"With the scenario's own depth errors the smallest eigenvalue is {own.smallest:.3g}, and the time "
-            f"constant at the start {own.time_constant:.3g} s" + _end_words(found, own) + "."
-        )
+        text = f"With the scenario's own depth errors the smallest eigenvalue is {own.smallest:.3g}, and "
+        slow = f"the time constant at the start {own.time_constant:.3g} s" + _end_words(found, own)
     else:
-        words.append(
+        text = (
             f"The scenario's own depth errors are equal ({own.errors[0]:+.3g}): the smallest eigenvalue is "
-            f"{own.smallest:.3g}, and the slowest mode has a time constant of {own.time_constant:.3g} s."
+            f"{own.smallest:.3g}, and "
         )
+        slow = f"the slowest mode has a time constant of {own.time_constant:.3g} s"
+    words.append(text + (slow if own.slowest > 0.0 else _growth(own)) + ".")
     without = "; ".join(
         f"{s.negative_image_only[0]} of 14 at the start"
         + (f" and {s.negative_image_only[1]} at the goal" if found.has_goal else "")
@@ -66,18 +65,33 @@ def _sentences(found: Drift) -> list[str]:
         for s in found.sizes
     )
     if found.has_prior:
-        words.append(f"Without the prior some of the 14 unequal patterns have a negative eigenvalue: {without}.")
+        words.append(f"Without the prior some of the 14 unequal patterns drift away: {without}.")
     if found.leaks:
         words.append("The leakage of the weights is neglected: it limits the drift and leaves an error instead.")
+    if found.springs:
+        words.append(
+            f"In {found.springs} of the axes no pose error drives the platform: nothing drifts there, and they are "
+            "excluded."
+        )
     limits = [limit for limit in (found.limit_start, found.limit_goal) if limit is not None]
     if limits:
         words.append(
-            f"All patterns stay positive at {places} up to depth errors of {100 * min(limits):.3g} % (searched on "
+            f"No pattern drifts away at {places} up to depth errors of {100 * min(limits):.3g} % (searched on "
             f"a grid of {GRID} sizes up to {100 * LARGEST:.3g} % and by bisection)."
         )
     else:
-        words.append(f"All patterns stay positive at {places} up to {100 * LARGEST:.3g} %, the largest searched.")
+        words.append(f"No pattern drifts away at {places} up to {100 * LARGEST:.3g} %, the largest searched.")
     return words
+
+
+def _growth(pattern: Pattern) -> str:
+    """Return how fast the pose error grows: at the start, or at the goal where it does so there alone."""
+    if pattern.rate <= 0.0:
+        return f"the pose error grows e-fold in {-pattern.time_constant:.3g} s at the start"
+    return (
+        f"the pose error grows e-fold in {-pattern.goal_time_constant:.3g} s at the goal, while at the start it decays "
+        f"with a time constant of {pattern.time_constant:.3g} s"
+    )
 
 
 def _end_words(found: Drift, pattern: Pattern) -> str:
@@ -114,6 +128,7 @@ def _items(found: Drift) -> list[Item]:
                 (Column("smallest eigenvalue, start", "1", ".3g"), lambda p: p.start),
                 (Column("smallest eigenvalue, goal", "1", ".3g"), lambda p: finite(p.goal)),
                 (Column("time constant, start", "s", ".3g"), lambda p: finite(p.time_constant)),
+                (Column("time constant, goal", "s", ".3g"), lambda p: finite(p.goal_time_constant)),
                 (Column("time constant, end", "s", ".3g"), lambda p: finite(p.end_time_constant)),
                 (Column("end of the drift, from home", "mm", ".3g"), _end_from_home),
                 (Column("image error there", "px", ".2g"), lambda p: finite(p.end_error)),
@@ -130,7 +145,7 @@ def _items(found: Drift) -> list[Item]:
             [
                 (Column("depth errors", "%", ".3g"), lambda s: 100 * s.size),
                 (Column("worst signs"), lambda s: s.worst.signs),
-                (Column("its smallest eigenvalue", "1", ".3g"), lambda s: s.worst.smallest),
+                (Column("its smallest rate", "1/s", ".3g"), lambda s: s.worst.slowest),
                 (Column("negative, start", "of 14", "d"), lambda s: s.negative[0]),
                 (Column("negative, goal", "of 14", "d"), lambda s: at_goal(s.negative)),
                 (Column("prior in the inverse only, start", "of 14", "d"), lambda s: s.negative_inverse_only[0]),
@@ -138,7 +153,8 @@ def _items(found: Drift) -> list[Item]:
                 (Column("no prior, start", "of 14", "d"), lambda s: s.negative_image_only[0]),
                 (Column("no prior, goal", "of 14", "d"), lambda s: at_goal(s.negative_image_only)),
             ],
-            note="Unequal signs only: 14 of the 16 patterns.",
+            note="Negative: a rate of the drift is, so that the pose error grows. Unequal signs only: 14 of the 16 "
+            "patterns.",
             page=PAGE,
         ),
     ]
@@ -149,9 +165,9 @@ def _items(found: Drift) -> list[Item]:
         ]
         items.append(
             Curves(
-                "Smallest eigenvalue over all sign patterns",
+                "Smallest rate of the drift over all sign patterns",
                 "depth error [%]",
-                "smallest real part [1]",
+                "smallest real part [1/s]",
                 lines,
                 note="Below zero the pose error grows in some direction.",
                 page=PAGE,
@@ -169,7 +185,7 @@ def _data(found: Drift) -> dict[str, Any]:
             "depth_errors": p.errors,
             "smallest_eigenvalue_start": p.start,
             "smallest_eigenvalue_goal": p.goal,
-            **picked(p, "direction rate time_constant"),
+            **picked(p, "direction rate time_constant goal_rate"),
             "end_displacement": p.end,
             **picked(p, "end_rate end_error"),
             "end_leg_travel": p.end_travel,

@@ -21,6 +21,7 @@ from hexservo.findings.part import Part
 from hexservo.run.batch import metrics_of, simulate_batch, whole
 from hexservo.run.leg_limits import LimitUse, most_used
 from hexservo.scenario.arrays import Array, Mask
+from hexservo.scenario.keys import value_at
 from hexservo.scenario.laws import LAWS, laws_with
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.scenario import Scenario
@@ -115,6 +116,7 @@ class LargestStart(Part):
     band: float = 0.0  # [px], of settling
     dwell: float = 0.0  # [s], how long a run must have been within the band at its end
     assumed: str = ""  # what the runs with camera times assume beside the scenario
+    from_home: bool = False  # the scenario's own start is not home at rest, from which all runs start
 
     @property
     def own(self) -> Direction | None:
@@ -160,6 +162,7 @@ def analyse(scenario: Scenario) -> LargestStart:
         measured.band,
         measured.dwell,
         assumed,
+        any(np.any(np.asarray(value_at(scenario, key))) for key in AT_HOME),
     )
 
 

@@ -78,7 +78,7 @@ def _sentences(found: LargestStart) -> list[str]:
         )
     words.append(_others(found))
     words += _timing_words(found) or [
-        "The task itself does not settle within the limits of the legs: camera times were not tried."
+        f"{_task(found)} does not settle within the limits of the legs: camera times were not tried."
     ]
     again = [d.name for d in found.directions if d.settles_again]
     words.append(
@@ -138,8 +138,15 @@ def _timing_words(found: LargestStart) -> list[str]:
         how = "without prediction" if prediction == "none" else "with prediction by the encoders"
         if found.law not in LAWS:
             how = "with the target predicted by the law"
-        words.append(f"The task itself, {found.assumed}{how}: {'; '.join(parts)}.")
+        words.append(f"{_task(found)} {found.assumed}{how}: {'; '.join(parts)}.")
     return words
+
+
+def _task(found: LargestStart) -> str:
+    """Return what the runs with the task's own goal are: all start at home."""
+    if found.from_home:
+        return "The task's goal, from home at rest instead of the task's own start (simulation.start),"
+    return "The task itself," if found.timings else "The task itself"
 
 
 def _timing_failure(timing: Timing) -> str:

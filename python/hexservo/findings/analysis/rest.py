@@ -158,7 +158,7 @@ class Rest(Scene):
         return poses, last < 1e-8
 
 
-def not_analysed(scenario: Scenario, reason: str) -> str:
+def not_analysed(scenario: Scenario, reason: str, *, any_body: bool = False) -> str:
     """Return why an analysis of poses and laws does not apply; empty if it does.
 
     Parameters
@@ -167,12 +167,14 @@ def not_analysed(scenario: Scenario, reason: str) -> str:
         Its law and its camera decide.
     reason
         Why its law is not analysed; empty if it is.
+    any_body
+        Whether the platform's mass does not enter.
     """
     if reason:
         return f"The law {scenario.controller.law} is not analysed here: {reason}."
     if scenario.camera.convention == "as_printed":
         return "A camera as_printed has no points in space, so no pose belongs to an image: not analysed."
-    return scene_of(scenario).unusual_body
+    return "" if any_body else scene_of(scenario).unusual_body
 
 
 class RestLaw:

@@ -43,8 +43,8 @@ def _verdict(found: Stiction) -> Verdict:
 
 
 def _largest(found: Stiction) -> float:
-    """Return the largest image error of all cases that have poses [px]."""
-    return max(case.ends.largest for case in found.cases if case.ends is not None)
+    """Return the largest image error of all cases that have poses [px]: linear, or of a pose that was checked."""
+    return max(max(case.ends.largest, case.confirmed or 0.0) for case in found.cases if case.ends is not None)
 
 
 def _sentences(found: Stiction) -> list[str]:
@@ -63,7 +63,8 @@ def _sentences(found: Stiction) -> list[str]:
         words.append(_of_creep(found))
     for case in found.cases[1:]:
         if case.ends is not None:
-            words.append(f"{case.name}: up to {number(case.ends.largest)} px.")
+            checked = "" if case.confirmed is None else f", {number(case.confirmed)} px at a checked pose"
+            words.append(f"{case.name}: up to {number(case.ends.largest)} px{checked}.")
         else:
             words.append(f"{case.name}: no pose within the stroke.")
     words += [_of_runs(runs) for runs in found.runs]

@@ -70,6 +70,7 @@ class Workspace(Part):
     # (51,) share of the legs' limits left on the straight way from the start to `goal`; empty without one
     way_left: Array
     way_within: Mask  # (51,) whether the legs reach it there
+    way_force: float  # [N], largest leg force that holds the actual weight there, within reach; 0 without a way
     neighbourhood_singularity: float  # smallest of random poses within reach around the goal, or the start
     neighbourhood_lever_arm: float  # the same
     neighbourhood_force: float  # [N], largest leg force that holds the actual weight there
@@ -110,7 +111,7 @@ def analyse(scenario: Scenario) -> Workspace:
     around = _neighbourhood(scene, centre.pose, random)
     near = [_place(scene, "", around[row]) for row in range(len(around))]
     x, y, left = _left_map(scene, centre.pose)
-    way_left, way_within = _way(scene, None if goals is None else goals.best.view.pose)
+    way_left, way_within, way_force = _way(scene, None if goals is None else goals.best.view.pose)
     return Workspace(
         scene=scene,
         goals=goals,
@@ -122,6 +123,7 @@ def analyse(scenario: Scenario) -> Workspace:
         least_turn=min(turns, key=lambda end: end.distance),
         way_left=way_left,
         way_within=way_within,
+        way_force=way_force,
         neighbourhood_singularity=min([place.singularity for place in near], default=centre.singularity),
         neighbourhood_lever_arm=min([place.lever_arm for place in near], default=centre.lever_arm),
         neighbourhood_force=max(float(np.abs(place.actual_forces).max()) for place in [*near, centre]),
@@ -240,16 +242,7 @@ def _limit(used: Array) -> tuple[int, str]:
 
 
 def _place(scene: Scene, name: str, pose: Poses) -> WorkspacePose:
-    weight = np.array(scene.body.weight(pose.quaternion))
-    actual = (1.0 - scene.settings["uncertainty.gravity"]) * scene.settings.plant_body.weight(pose.quaternion)
     legs, at = scene.hexapod, (pose.position, pose.quaternion)
-
-    def forces(wrench: Array) -> Array:
-        try:
-            return legs.leg_forces(*at, wrench)
-        except ValueError:  # a singular pose
-            return np.full(6, np.inf)
-
     return WorkspacePose(
         name=name,
         pose=pose,
@@ -261,9 +254,22 @@ def _place(scene: Scene, name: str, pose: Poses) -> WorkspacePose:
         speeds=_speeds(scene, pose),
         singularity=float(np.min(legs.singular_values(*at))),
         lever_arm=float(scene.lever_arms(pose).min()),
-        forces=forces(weight),
-        actual_forces=forces(actual),
+        forces=_forces(scene, pose, np.array(scene.body.weight(pose.quaternion))),
+        actual_forces=_forces(scene, pose, _actual_weight(scene, pose)),
     )
+
+
+def _actual_weight(scene: Scene, pose: Poses) -> Array:
+    share = 1.0 - scene.settings["uncertainty.gravity"]
+    return np.asarray(share * scene.settings.plant_body.weight(pose.quaternion))
+
+
+def _forces(scene: Scene, pose: Poses, wrench: Array) -> Array:
+    """Return the leg forces (6,) [N] that give a wrench at one pose; infinite at a singular one."""
+    try:
+        return scene.hexapod.leg_forces(pose.position, pose.quaternion, wrench)
+    except ValueError:
+        return np.full(6, np.inf)
 
 
 def _speeds(scene: Scene, pose: Poses) -> Array | None:
@@ -289,13 +295,16 @@ def _neighbourhood(scene: Scene, centre: Poses, random: np.random.Generator) -> 
     return poses[scene.reachable(poses)]
 
 
-def _way(scene: Scene, goal: Poses | None) -> tuple[Array, Mask]:
-    """Return which share of the limits is left on the way to the goal, and whether the legs reach it there."""
+def _way(scene: Scene, goal: Poses | None) -> tuple[Array, Mask, float]:
+    """Return which share of the limits is left on the way to the goal, whether the legs reach it, and `way_force`."""
     if goal is None:
-        return np.empty(0), np.empty(0, dtype=bool)
+        return np.empty(0), np.empty(0, dtype=bool), 0.0
     displacement = goal.displacement_from(scene.start)
     way = scene.start.moved(np.linspace(0.0, 1.0, WAY)[:, None] * displacement)
-    return scene.limits_left(way), scene.reachable(way)
+    within = scene.reachable(way)
+    held = (way[row] for row in np.flatnonzero(within))
+    force = max((float(np.abs(_forces(scene, at, _actual_weight(scene, at))).max()) for at in held), default=0.0)
+    return scene.limits_left(way), within, force
 
 
 def _left_map(scene: Scene, centre: Poses) -> tuple[Array, Array, Array]:

@@ -70,8 +70,9 @@ def _sentences(found: Workspace) -> list[str]:
     heaviest = max(_places(found), key=lambda place: float(np.abs(place.actual_forces).max()))
     words.append(
         f"Holding the platform takes up to {number(float(np.abs(heaviest.actual_forces).max()))} {effort} in a leg at "
-        f"the {heaviest.name}, and up to {number(found.neighbourhood_force)} {effort} around the {places[-1].name}, of "
-        f"{number(found.force_limit)} {effort} allowed; this is without motion."
+        f"the {heaviest.name}, and up to {number(found.neighbourhood_force)} {effort} around the {places[-1].name}"
+        + (f" and {number(found.way_force)} {effort} on the straight path" if found.way_within.any() else "")
+        + f", of {number(found.force_limit)} {effort} allowed; this is without motion."
     )
     if _overloaded(found):  # what decides the verdict comes first
         words.insert(0, words.pop())
@@ -85,8 +86,9 @@ def _overloaded(found: Workspace) -> bool:
 
 
 def _largest_force(found: Workspace) -> float:
-    """Return the largest force of a leg that holds the actual weight at the start and at the goal [N], torque [N m]."""
-    return max(float(np.abs(place.actual_forces).max()) for place in _places(found))
+    """Return the largest force of a leg that holds the actual weight at any of the poses [N], torque [N m]."""
+    at_places = max(float(np.abs(place.actual_forces).max()) for place in _places(found))
+    return max(at_places, found.neighbourhood_force, found.way_force)
 
 
 def _of_goal(found: Workspace) -> str:
@@ -274,7 +276,7 @@ def _data(found: Workspace) -> dict[str, object]:
         "least_shift": picked(found.least_shift, "direction distance"),
         "least_turn": picked(found.least_turn, "direction distance"),
         "way_limits_left": found.way_left,
-        **picked(found, "neighbourhood_singularity neighbourhood_force"),
+        **picked(found, "neighbourhood_singularity neighbourhood_force way_force"),
     }
 
 
