@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -170,3 +171,20 @@ def test_the_command_prints_it_as_json() -> None:
     result = CliRunner().invoke(app, ["schema", "--json"])
     assert result.exit_code == 0
     assert json.loads(result.stdout) == json.loads(json.dumps(all_keys()))
+
+
+def test_every_key_stands_on_the_page_of_scenarios() -> None:
+    """A cell has `block.key`, others of the block without it, or `block.*`; `auto` of one law stands for all."""
+    page = (Path(__file__).parents[2] / "docs" / "scenarios.md").read_text(encoding="utf-8")
+    keys = {re.sub(r"^controller\.\w+\.auto\.", "controller.hybrid.auto.", key) for key in FIELDS}
+    missing = set(keys)
+    for cell in re.findall(r"^\| (`.*?) \|", page, re.MULTILINE):
+        block: list[str] = []
+        for name in re.findall(r"`([^`]+)`", cell):
+            for depth in range(len(block), -1, -1):
+                whole = ".".join([*block[:depth], name.removesuffix(".*")])
+                if found := {key for key in keys if key == whole or key.startswith(whole + ".")}:
+                    missing -= found
+                    block = whole.split(".")[:-1]
+                    break
+    assert missing == set()
