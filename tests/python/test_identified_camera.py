@@ -20,8 +20,8 @@ from hexservo.findings.identification.frames import CameraFit, _repeats, fit_cam
 from hexservo.findings.identification.frames_noise import joint_deviations, overstated, scatter_of, spline_shares
 from hexservo.findings.identification.interval import Interval, deviations, robust_deviations
 from hexservo.findings.identification.log import Frames, Log
-from recorded_machines import see
-from test_identification import METRES, SEED, seen_log, within
+from recorded_machines import Drive, record, see
+from test_identification import METRES, SEED, commands_of, seen_log, within
 
 Array = NDArray[np.float64]
 
@@ -151,6 +151,23 @@ def test_motion_that_is_fast_for_the_ticks_is_no_noise_of_joints(paper: hs.Scena
         words = " ".join(camera.section().sentences)
         assert reason in words
         assert camera.section().verdict == "warning"
+
+
+@pytest.mark.slow
+def test_a_log_with_few_ticks_gives_no_noise_that_the_camera_does_not_have(paper: hs.Scenario) -> None:
+    """Of drives of 10 Hz at 30 ticks a second, and readings without noise."""
+    random, period, finer = np.random.default_rng(SEED), 1.0 / 30.0, 10
+    commands = np.repeat(commands_of(paper, random, 300, period, 2e-3), finer, axis=0)
+    fine = record(commands, period / finer, [Drive(10.0, 0.8, finer)] * 6, 0.0, random)
+    exposure = 0.313 + period * np.arange(250.0)
+    legs = CubicSpline(fine.time, fine.joints)(exposure)
+    frames = replace(see(paper, legs, exposure, np.asarray(exposure + 0.05), 0.2, random), exposure=None)
+    log = Log(fine.time[::finer], period, commands[::finer], fine.joints[::finer], frames)
+    found = hs.identify(log, paper.updated({"simulation.mode": "sampled", "simulation.step": 0.01}))
+    assert found.camera is not None
+    assert found.camera.ticks_are_coarse
+    assert found.camera.noise is None
+    assert "camera.noise" not in found.changes
 
 
 def test_a_spline_has_less_noise_between_two_ticks() -> None:
