@@ -127,12 +127,22 @@ def test_the_servo_period_is_one_that_check_does_not_warn_of(tmp_path: Path) -> 
     assert "simulation.step" not in done.stderr
 
 
+@pytest.mark.parametrize("bandwidth", ["1", "0.05"])
+def test_the_servo_period_is_no_shorter_than_that_of_commands(tmp_path: Path, bandwidth: str) -> None:
+    """A body that is all but thin has a pole of 10 us; the run fits into a log, and the warning stays."""
+    file = tmp_path / "mine.yaml"
+    done = answered(file, answers(p10="100 0 0", p11="1e-5 0.05001 0.05001", p28=bandwidth))
+    assert done.exit_code == 0, done.output
+    assert "simulation.step: a servo period of 100 us is coarser" in done.stderr
+    assert 1e-4 <= hs.load_scenario(file).simulation.step < 1.01e-4
+
+
 def test_the_latency_is_the_answer_in_servo_periods(tmp_path: Path) -> None:
+    """No less than the answer: a loop whose images are earlier than the machine's looks better than it is."""
     file = tmp_path / "mine.yaml"
     assert answered(file, answers(p26="61")).exit_code == 0
     scenario = hs.load_scenario(file)
-    assert scenario.camera.latency == pytest.approx(0.061, abs=0.5 * scenario.simulation.step)
-    assert scenario.camera.latency > 1.5 / 30  # of a frame period
+    assert 0.061 <= scenario.camera.latency < 0.061 + scenario.simulation.step
 
 
 def positions(*given: str, legs: str = "prismatic", **changed: str) -> list[str]:
@@ -171,19 +181,35 @@ def test_a_file_for_forces_becomes_one_for_positions_as_the_page_has_it(tmp_path
 
 
 def test_times_of_a_machine_that_takes_positions_are_whole_commands(tmp_path: Path) -> None:
-    """The commands have the rate that was answered; the camera's times are rounded to them."""
+    """The commands have the rate that was answered; the other times are rounded to them, which the output states."""
     file = tmp_path / "mine.yaml"
-    done = answered(file, positions("50", "45", "4", "0", p20="30", p21="0.6", p26="61", p28="1.5"))
+    done = answered(file, positions("50", "45", "4", "0", p20="30", p21="0.6", p26="60", p28="1.5"))
     assert done.exit_code == 0, done.output
     scenario = hs.load_scenario(file)
     assert scenario.simulation.step == 0.02
     assert scenario.camera.period == pytest.approx(0.04)
     assert scenario.camera.latency == pytest.approx(0.06)
-    assert scenario.actuators.delay == pytest.approx(0.04)
+    assert scenario.actuators.delay == pytest.approx(0.06)
+    assert "a frame every 40 ms (33.33 ms before rounding), used 60 ms after its exposure" in done.output
+    assert "a delay of 60 ms (45 ms before rounding)" in done.output
     response = scenario.actuators.position
     assert (response.bandwidth, response.damping, response.speed_limit) == (4.0, 1.0, None)
     gains = scenario.controller.tracking
     assert (gains.bandwidth, gains.noise, scenario.camera.prediction) == (1.5, 0.6, "none")
+
+
+@pytest.mark.parametrize(("answer", "taken"), [("0", 0.0), ("10", 0.02), ("50", 0.06), ("60.1", 0.06)])
+def test_no_time_that_makes_a_loop_worse_is_rounded_down(tmp_path: Path, answer: str, taken: float) -> None:
+    """At 50 commands a second; 20 frames a second are one in 2.5 commands, and count as one in 3.
+
+    A hundredth of a period more than whole ones is what an answer in three digits may be.
+    """
+    file = tmp_path / "mine.yaml"
+    done = answered(file, positions("50", answer, p20="20", p26=answer))
+    assert done.exit_code == 0, done.output
+    scenario = hs.load_scenario(file)
+    assert scenario.camera.period == pytest.approx(0.06)
+    np.testing.assert_allclose((scenario.camera.latency, scenario.actuators.delay), taken)
 
 
 @pytest.mark.parametrize("rate", [24.0, 29.97, 30.0, 60.0, 120.0, 180.0, 333.0])

@@ -20,8 +20,8 @@ from hexservo.findings.identification.frames import CameraFit, _repeats, fit_cam
 from hexservo.findings.identification.frames_noise import joint_deviations, overstated, scatter_of, spline_shares
 from hexservo.findings.identification.interval import Interval, deviations, robust_deviations
 from hexservo.findings.identification.log import Frames, Log
-from recorded_machines import see
-from test_identification import METRES, SEED, seen_log, within
+from recorded_machines import Drive, record, see
+from test_identification import METRES, SEED, commands_of, seen_log, within
 
 Array = NDArray[np.float64]
 
@@ -135,6 +135,41 @@ def test_the_noise_of_joints_is_found_from_their_readings() -> None:
     assert (joint_deviations(replace(log, joints=motion)) < 1e-7).all()
 
 
+def test_motion_that_is_fast_for_the_ticks_is_no_noise_of_joints(paper: hs.Scenario) -> None:
+    """Of drives of 10 Hz at 30 ticks a second: their fit leaves 1e-9 m, and the differences of the readings 1e-4 m."""
+    log = seen_log(paper, 0.05, stamps=None)
+    drives = fit_drives(log, METRES, delays=(1,))
+    coarse = replace(drives, fits=tuple(replace(fit, noise=1e-9) for fit in drives.fits))
+    noisy = replace(drives, fits=tuple(replace(fit, noise=1e-4) for fit in drives.fits))
+    joints = replace(log, joints=log.joints + 1e-4 * np.random.default_rng(SEED).normal(size=log.joints.shape))
+    of_motion, of_noise = (fit_camera(joints, Scene(paper), one) for one in (coarse, noisy))
+    for camera, reason in (
+        (of_motion, "Motion of the joints between ticks that are long for it may explain"),
+        (of_noise, "The noise of the joints explains"),
+    ):
+        assert camera.noise is None
+        words = " ".join(camera.section().sentences)
+        assert reason in words
+        assert camera.section().verdict == "warning"
+
+
+@pytest.mark.slow
+def test_a_log_with_few_ticks_gives_no_noise_that_the_camera_does_not_have(paper: hs.Scenario) -> None:
+    """Of drives of 10 Hz at 30 ticks a second, and readings without noise."""
+    random, period, finer = np.random.default_rng(SEED), 1.0 / 30.0, 10
+    commands = np.repeat(commands_of(paper, random, 300, period, 2e-3), finer, axis=0)
+    fine = record(commands, period / finer, [Drive(10.0, 0.8, finer)] * 6, 0.0, random)
+    exposure = 0.313 + period * np.arange(250.0)
+    legs = CubicSpline(fine.time, fine.joints)(exposure)
+    frames = replace(see(paper, legs, exposure, np.asarray(exposure + 0.05), 0.2, random), exposure=None)
+    log = Log(fine.time[::finer], period, commands[::finer], fine.joints[::finer], frames)
+    found = hs.identify(log, paper.updated({"simulation.mode": "sampled", "simulation.step": 0.01}))
+    assert found.camera is not None
+    assert found.camera.ticks_are_coarse
+    assert found.camera.noise is None
+    assert "camera.noise" not in found.changes
+
+
 def test_a_spline_has_less_noise_between_two_ticks() -> None:
     time = 0.01 * np.arange(100.0)
     readings = np.random.default_rng(SEED).normal(size=(100, 4000))
@@ -201,9 +236,9 @@ def test_what_is_no_noise_of_the_camera_is_no_key(paper: hs.Scenario) -> None:
     changes = changes_of(log, given, drives, known)
     assert (changes["camera.latency"], changes["camera.latency_jitter"]) == (0.05, 0.04)
     assert "camera.noise" in changes
-    for doubtful, reason in (
-        (replace(known, of_joints=0.7), "joints explains 70 %"),
-        (replace(known, correlated=7.0), "corr"),
+    for doubtful, reasons in (
+        (replace(known, of_joints=0.7), ("joints explains 70 %", "as of the noise of the joints, or of frames")),
+        (replace(known, correlated=7.0), ("correlated", "as of a wrong calibration, or of frames")),
     ):
         changes = changes_of(log, given, drives, doubtful)
         assert changes["camera.latency"] == 0.06
@@ -211,9 +246,11 @@ def test_what_is_no_noise_of_the_camera_is_no_key(paper: hs.Scenario) -> None:
         section = doubtful.section()
         (table,) = section.items
         assert isinstance(table, Table)
-        assert ["a frame is later by at most", "not determined", "ms"] in [list(row) for row in table.rows]
+        rows = {row[0]: row[1] for row in table.rows}
+        assert rows["a frame is later by at most"] == "not determined"
+        assert (rows["noise of a coordinate"] == "not determined") == (not doubtful.noise_is_of_camera)
         words = " ".join(section.sentences)
-        assert reason in words
+        assert all(reason in words for reason in reasons)
         assert "the log does not tell which" in words
         assert "`camera.noise` and `camera.latency_jitter` are left" in words
         stamped = replace(doubtful, stamps=Interval(0.0, -1e-4, 1e-4))

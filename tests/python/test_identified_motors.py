@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 import hexservo as hs
 from hexservo import _core
 from hexservo.cli.commands import app
-from hexservo.findings.identification.changes import changes_of
+from hexservo.findings.identification.changes import changes_of, ticks_of
 from hexservo.findings.identification.drives import MOST_DELAY, fit_drives
 from hexservo.findings.identification.log import Log
 from hexservo.findings.identification.motors import _finished, _fitted, _Plant, _values, fit_motors
@@ -89,6 +89,19 @@ def test_intervals_of_motors_contain_the_true_values(paper: hs.Scenario, noise: 
         assert motors.delay == DELAY
     print(f"seed {SEED}: {kept} of 16 intervals contain the true value")
     assert kept >= 13
+
+
+def test_motors_are_fitted_with_the_step_of_the_scenario_that_is_identified(paper: hs.Scenario) -> None:
+    """1/60 s is no number of nine digits: with these the motors would be those of another step."""
+    step = 1.0 / 60.0
+    machine = given(machine_of(paper, "prismatic")).updated({"simulation.step": step, "simulation.duration": 1.0})
+    hexapod = _core.Hexapod(core_parameters(machine).robot)
+    legs = hexapod.leg_lengths(hexapod.home_position, hexapod.home_quaternion)
+    home = np.tile(legs, (60, 1))
+    log = Log(step * np.arange(60.0), step, home, home, None)
+    plant = _Plant(log, machine)
+    assert plant._settings["simulation.step"] == ticks_of(log, machine)["simulation.step"] == step
+    assert log.step != step
 
 
 def test_the_steps_of_the_fit_leave_no_bias(paper: hs.Scenario) -> None:

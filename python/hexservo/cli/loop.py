@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import hexservo as hs
+from hexservo import _core
 from hexservo.cli.dialogue import Dialogue
 from hexservo.scenario.blocks import Metrics
 from hexservo.scenario.laws import GENERAL_LAW, POSE_LAW
@@ -15,10 +16,11 @@ _TICKS = 150  # servo periods in one of the bandwidth, at least
 _PERIODS = 10  # of the bandwidth in a run, at least
 _ROOM = 2  # times the longest of the metrics' times, the frame period and the latency that a run lasts, at least
 _ROUNDING = 1e-9  # relative, by which a number may be above the whole number that it stands for
+_ANSWERED = 0.01  # servo periods by which a time is longer than whole ones since it was answered in three digits
 _BANDWIDTHS = (0.05, 500.0)  # [Hz]: with any rate, a run's times and its log are ones that a scenario may have
 _LATEST = 1e4  # [ms], latency of an image, at most
 _COMMANDS = (1.0, 1e4)  # [1/s], to a drive
-_MOST_DELAY = 8  # servo periods, of `actuators.delay`
+_SHORTEST = 1.0 / _COMMANDS[1]  # servo period [s] that is chosen for drives that take forces, at least
 _RESPONSES = (0.01, 1e4)  # [Hz], of a drive
 _SPEED = 1e-6  # [deg/s] or [mm/s], of a drive, at least
 _LEAST_NOISE = 0.1  # [px], assumed by the law: encoders and lens leave as much where the image has none
@@ -35,7 +37,8 @@ class Loop:
     def scenario(self, dialogue: Dialogue, machine: dict[str, Any]) -> tuple[dict[str, Any], hs.Scenario]:
         """Return the whole document, and its scenario, for robot, camera and target.
 
-        The servo period divides that of the frames, and is one of which `hexservo check` does not warn.
+        The servo period divides that of the frames. It is one of which `hexservo check` does not warn, unless that
+        would be below the period of the fastest commands.
 
         Raises
         ------
@@ -55,11 +58,12 @@ class Loop:
         return document, scenario
 
     def _parts(self, longest: float) -> int:
-        """Return the servo periods of a frame, none longer than `longest` [s]."""
-        return max(1, math.ceil(self.frame / longest * (1.0 - _ROUNDING)))
+        """Return the servo periods of a frame: none longer than `longest` [s], but none below `_SHORTEST` either."""
+        most = math.floor(self.frame / _SHORTEST * (1.0 + _ROUNDING))
+        return max(1, min(_whole_above(self.frame / longest), most))
 
     def _document(self, machine: dict[str, Any], parts: int) -> dict[str, Any]:
-        ticks = round(self.latency / self.frame * parts)
+        ticks = _no_shorter(self.latency / self.frame * parts)
         return _document(
             machine,
             {"period": self.frame, "latency": self.frame * ticks / parts, "prediction": "encoder"},
@@ -87,15 +91,16 @@ class PositionLoop:
     def scenario(self, dialogue: Dialogue, machine: dict[str, Any]) -> tuple[dict[str, Any], hs.Scenario]:
         """Return the whole document, and its scenario, for robot, camera and target.
 
-        The servo period is that of the commands, and the other times are whole numbers of it.
+        The servo period is that of the commands, and the other times are whole numbers of it: the frame period the
+        nearest one, latency and delay no shorter than they are, as a loop with less of them looks better than it is.
 
         Raises
         ------
         ScenarioError
             For what one answer alone does not tell.
         """
-        frame = max(self._rounded(self.frame), self.period)
-        latency, delay = self._rounded(self.latency), self._rounded(self.delay)
+        frame = self.period * max(1, math.floor(self.frame / self.period + 0.5))
+        latency, delay = (self.period * _no_shorter(time / self.period) for time in (self.latency, self.delay))
         times = {"period": frame, "latency": latency, "prediction": "none"}
         law = {
             "auto": {"bandwidth": self.bandwidth},
@@ -108,14 +113,27 @@ class PositionLoop:
         scenario = hs.Scenario.from_mapping(document)
         dialogue.say(
             f"Times are whole numbers of the {1e3 * self.period:.4g} ms between two commands: a frame every "
-            f"{1e3 * frame:.4g} ms, used {1e3 * latency:.4g} ms after its exposure, and a delay of "
-            f"{1e3 * delay:.4g} ms. `hexservo identify` finds them from a log."
+            f"{_became(self.frame, frame)}, used {_became(self.latency, latency)} after its exposure, and a delay of "
+            f"{_became(self.delay, delay)}. `hexservo identify` measures them from a log, of drives that report where "
+            "they are, and rounds to commands too."
         )
         return document, scenario
 
-    def _rounded(self, time: float) -> float:
-        """Return the whole number of commands' periods that is nearest to a time [s]."""
-        return round(time / self.period) * self.period
+
+def _whole_above(ratio: float) -> int:
+    """Return the least whole number that is not below a ratio of two times, but for its rounding."""
+    return math.ceil(ratio * (1.0 - _ROUNDING))
+
+
+def _no_shorter(ticks: float) -> int:
+    """Return the whole servo periods that last no less than an answer, given in them."""
+    return math.ceil(ticks - _ANSWERED)
+
+
+def _became(answer: float, time: float) -> str:
+    """Return a time [s] with its unit, and the answer that it was rounded from where they differ."""
+    given, taken = f"{1e3 * answer:.4g}", f"{1e3 * time:.4g}"
+    return f"{taken} ms" if given == taken else f"{taken} ms ({given} ms before rounding)"
 
 
 def ask_loop(dialogue: Dialogue, frame: float, *, rotary: bool) -> Loop | PositionLoop:
@@ -127,7 +145,10 @@ def ask_loop(dialogue: Dialogue, frame: float, *, rotary: bool) -> Loop | Positi
         return Loop(frame, latency, _bandwidth(dialogue))
     period = 1.0 / dialogue.number("Commands a second [1/s]", 50.0, *_COMMANDS)
     delay = 1e-3 * dialogue.number(
-        "Delay, from a command until a drive acts on it [ms]", 1e3 * period, 0.0, 1e3 * _MOST_DELAY * period
+        "Delay, from a command until a drive acts on it [ms]",
+        1e3 * period,
+        0.0,
+        1e3 * _core.MAX_ACTUATOR_DELAY * period,
     )
     response = {"bandwidth": dialogue.number("Bandwidth of a drive, 0.53 over its rise time [Hz]", 10.0, *_RESPONSES)}
     unit, most, scale = ("deg/s", 300.0, math.pi / 180.0) if rotary else ("mm/s", 20.0, 1e-3)
@@ -155,7 +176,7 @@ def _document(
         "simulation": {
             "mode": "sampled",
             "step": step,
-            "duration": frame * math.ceil(duration / frame * (1.0 - _ROUNDING)),
+            "duration": frame * _whole_above(duration / frame),
         },
     }
 

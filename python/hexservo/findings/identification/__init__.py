@@ -118,7 +118,7 @@ def identify(
     with reporting(progress, "legs identified") as report:
         drives = fit_drives(record, leg_units(machine.robot), report)
     scene = Scene(machine)
-    camera = None if record.frames is None else fit_camera(record, scene)
+    camera = None if record.frames is None else fit_camera(record, scene, drives)
     found = None
     if motors:
         with reporting(progress, "delays of motors tried") as report:

@@ -16,6 +16,7 @@ from hexservo.findings.identification.motors import MotorFit
 from hexservo.findings.identification.one_drive import mean_of, response_of
 from hexservo.findings.part import Part
 from hexservo.scenario.keys import value_at
+from hexservo.scenario.laws import POSE_LAW
 from hexservo.scenario.scenario import Scenario
 
 _FEWEST_TICKS = {  # of the times that a scenario has in whole ticks
@@ -70,7 +71,7 @@ def of_law(machine: Scenario, changes: Mapping[str, Any]) -> dict[str, Any]:
     With less than the camera has, its filter takes noise for a target that is somewhere else.
     """
     noise = changes.get("camera.noise", 0.0)
-    if machine.controller.law != "tracking" or noise <= 0.0:
+    if machine.controller.law != POSE_LAW or noise <= 0.0:
         return {}
     return {"controller.tracking.noise": noise}
 

@@ -17,9 +17,11 @@ from scipy.optimize import least_squares
 from hexservo import _core
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene
+from hexservo.findings.identification.drives import Drives
 from hexservo.findings.identification.frame_clock import clock
 from hexservo.findings.identification.frames_noise import (
     image_of_noise,
+    is_motion,
     joint_deviations,
     overstated,
     scatter_of,
@@ -64,7 +66,9 @@ class CameraFit(Part):
         # the image is not off by more where it moves faster
     )
     stamps: Interval | None = None  # what exposure times are late by [s]; None without them
-    noise: Interval | None = None  # standard deviation of a coordinate, of an image at rest [px]
+    noise: Interval | None = (
+        None  # standard deviation of a coordinate, of an image at rest [px]; None where the joints explain most of it
+    )
     explained: float | None = None  # share of the image motion kept apart that is predicted, 1: all; None: none there
     target: Array = field(default_factory=lambda: np.zeros(6))  # displacement of the scenario's target [m; rad]
     target_deviations: Array = field(default_factory=lambda: np.full(6, np.inf))  # standard, of these [m; rad]
@@ -73,6 +77,7 @@ class CameraFit(Part):
     correlated: float = 1.0  # frames over which what the fit leaves is, in half of the coordinates; 1 of white noise
     target_pixels: float = 0.0  # what the target's displacement moves the image by, RMS of a coordinate [px]
     of_joints: float = 0.0  # share of what the fit leaves across the motion that the noise of the joints explains
+    ticks_are_coarse: bool = False  # that noise is motion of the joints between ticks
     open: str = ""  # why nothing was found; empty if something was
 
     @property
@@ -117,7 +122,7 @@ class CameraFit(Part):
         return not self.open and (self.explained is None or self.explained >= LEAST_EXPLAINED)
 
 
-def fit_camera(log: Log, scene: Scene) -> CameraFit:
+def fit_camera(log: Log, scene: Scene, drives: Drives | None = None) -> CameraFit:
     """Fit clock and noise of the camera to a log.
 
     Parameters
@@ -126,6 +131,8 @@ def fit_camera(log: Log, scene: Scene) -> CameraFit:
         With images, of a platform that moved.
     scene
         Of the machine: legs, camera and target.
+    drives
+        Of the same log, which tell noise of the joints from motion that is fast for the ticks; None: it is noise.
     """
     frames = log.frames
     count = 0 if frames is None else len(frames.arrival)
@@ -143,11 +150,15 @@ def fit_camera(log: Log, scene: Scene) -> CameraFit:
     stamped = frames.exposure is not None
     period, dropout = clock(frames.arrival if frames.exposure is None else frames.exposure) or (None, None)
     sight = _Sight.of(log, frames, scene)
-    fit = _fit(sight, log, stamped=stamped)
+    joint_noise = joint_deviations(log)
+    fit = _fit(sight, log, joint_noise, stamped=stamped)
     if isinstance(fit, str):
         return CameraFit(count, period, dropout, repeated=repeated, open=fit)
     shift, of_motion = fit
-    found = CameraFit(count, period, dropout, shift, repeated=repeated, **of_motion)
+    coarse = drives is not None and is_motion(joint_noise, drives)
+    found = CameraFit(count, period, dropout, shift, repeated=repeated, ticks_are_coarse=coarse, **of_motion)
+    if not found.noise_is_of_camera:
+        found = replace(found, noise=None)
     if frames.exposure is None:
         return found
     late = frames.arrival - frames.exposure
@@ -269,7 +280,7 @@ class _Sight:
         return np.asarray(features - self.features) if (depth < 0.0).all() else None
 
 
-def _fit(sight: _Sight, log: Log, *, stamped: bool) -> tuple[Interval, dict[str, Any]] | str:
+def _fit(sight: _Sight, log: Log, joint_noise: Array, *, stamped: bool) -> tuple[Interval, dict[str, Any]] | str:
     """Return the shift of the frames' times [s] and the fields of `CameraFit` that the motion gives, or why none."""
     count = len(sight.times)
     if count < _FEWEST:
@@ -294,7 +305,6 @@ def _fit(sight: _Sight, log: Log, *, stamped: bool) -> tuple[Interval, dict[str,
             best = (start.cost, float(late), start.x)
     if best is None or best[0] > 1e11:
         return "the logged joints are no pose of the scenario's legs, or the target is behind the camera"
-    joint_noise = joint_deviations(log)
     of_joints = (part.by_noise(joint_noise, best[1]) ** 2).sum(axis=(1, 2))
 
     def residuals(x: Array) -> Array:

@@ -12,11 +12,13 @@ from scipy.stats import chi2
 
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene
+from hexservo.findings.identification.drives import Drives
 from hexservo.findings.identification.interval import LEVEL, NORMAL, Interval
 from hexservo.findings.identification.log import Log
 from hexservo.scenario.arrays import Array
 
 _DIFFERENCES = 6  # of readings one after the other: they have little of a motion, and much of white noise
+_NOISE = 0.5  # share of the differences' power that a fit of the drives leaves of noise, at least
 _REACH = 15  # ticks from which on a reading does not act in a spline, to 1e-8
 _KNOWN_TO = 0.1  # share of the joints' power in the image that is not known
 _MOST_DEVIATION = 0.25  # of frames' times that is searched [s]
@@ -24,9 +26,18 @@ _TIMES_TO = 5e-5  # to which the deviation of frames' times is searched [s]
 
 
 def joint_deviations(log: Log) -> Array:
-    """Return the standard deviation of the white noise of each joint, (6,) [m; rad]."""
+    """Return the standard deviation of the white noise of each joint, (6,) [m; rad].
+
+    It is too large where a tick is long for the motion (`is_motion`): then a spline is off by as much between two.
+    """
     differences = np.abs(np.diff(log.joints, n=_DIFFERENCES, axis=0))
     return np.asarray(NORMAL * np.median(differences, axis=0) / np.sqrt(comb(2 * _DIFFERENCES, _DIFFERENCES)))
+
+
+def is_motion(deviations: Array, drives: Drives) -> bool:
+    """Whether what the readings' differences take for noise (6,) [m; rad] is motion: the fit of the drives has it."""
+    left = np.array([fit.noise for fit in drives.fits])
+    return bool((left**2).sum() < _NOISE * (deviations**2).sum())
 
 
 def spline_shares(log: Log, times: Array, derivative: int = 0) -> Array:

@@ -11,6 +11,7 @@ from hexservo.findings.identification.interval import Interval
 from hexservo.scenario.wording import number
 
 _TITLE = "Camera"
+_UNKNOWN = "not determined"
 
 
 def section(found: CameraFit) -> Section:
@@ -24,7 +25,7 @@ def section(found: CameraFit) -> Section:
         ("a frame is later by at most", _jitter(found), "ms"),
         ("exposure times are late by", with_interval(found.stamps and found.stamps.times(1e3)), "ms"),
         ("frames that did not arrive", with_interval(found.dropout and found.dropout.times(100)), "%"),
-        ("noise of a coordinate", with_interval(found.noise), "px"),
+        ("noise of a coordinate", with_interval(found.noise) if found.noise_is_of_camera else _UNKNOWN, "px"),
         ("predicted of the part kept apart", None if found.explained is None else number(100 * found.explained), "%"),
         *_rows_of_the_target(found),
     ]
@@ -74,7 +75,7 @@ def _sentences(found: CameraFit) -> list[str]:
             f"as of frames that arrive up to {number(1e3 * found.jitter)} ms later than the earliest; the noise is "
             "that of an image at rest."
             if found.jitter_is_known
-            else "as of a wrong calibration, or of frames that arrive later than others: the log does not tell which."
+            else f"as of {_not_late(found)}, or of frames that arrive later than others: the log does not tell which."
         )
         words.append(f"The image is off by more where it moves faster, {as_of}")
     return [*words, *_without_period(found), _of_the_target(found), *doubts(found)]
@@ -104,8 +105,9 @@ def doubts(found: CameraFit) -> list[str]:
         )
     elif not found.noise_is_of_camera:
         words.append(
-            f"The noise of the joints explains {number(100 * found.of_joints)} % of what the fit leaves of the image "
-            f"across its motion, and the rest does not tell the noise of the camera. {_left(found)}"
+            f"{_by_joints(found).capitalize()} {'may explain' if found.ticks_are_coarse else 'explains'} "
+            f"{number(100 * found.of_joints)} % of what the fit leaves of the image across its motion, and the rest "
+            f"does not tell the noise of the camera. {_left(found)}"
         )
     return words
 
@@ -117,9 +119,22 @@ def _left(found: CameraFit) -> str:
     return "The keys `camera.noise` and `camera.latency_jitter` are left as they are."
 
 
+def _not_late(found: CameraFit) -> str:
+    """Return what else moves the image where no jitter is known."""
+    reasons = [] if found.noise_is_white else ["a wrong calibration"]
+    return ", ".join(reasons if found.noise_is_of_camera else [*reasons, _by_joints(found)])
+
+
+def _by_joints(found: CameraFit) -> str:
+    """Return what of the joints is unknown, and moves the image that they predict."""
+    if found.ticks_are_coarse:
+        return "motion of the joints between ticks that are long for it"
+    return "the noise of the joints"
+
+
 def _jitter(found: CameraFit) -> str | None:
     if not found.jitter_is_known:
-        return "not determined"
+        return _UNKNOWN
     return None if found.jitter is None else number(1e3 * found.jitter)
 
 

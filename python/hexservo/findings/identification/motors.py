@@ -100,7 +100,7 @@ class _Plant:
 
     def __init__(self, log: Log, machine: Scenario) -> None:
         self._commands = np.ascontiguousarray(log.commands)
-        self._step = log.step
+        self._step = log.step_near(machine.simulation.step)
         self._settings = core_parameters(machine)
         self._settings["simulation.step"] = self._step
         self._fewest = max(1, math.ceil(self._step / (_core.MOTOR_STEPS * _LEG_STEP)))
