@@ -126,6 +126,25 @@ def test_a_loop_that_a_perfect_camera_makes_unstable_has_limits_on_both_sides(la
     assert found.latency.looked_at <= loop.few * 10  # where modes have eigenvalues, and are not counted
 
 
+def test_limits_are_searched_also_with_many_frames_under_way() -> None:
+    """Six axes alike have the limits of one, whose eigenvalues are few with 20 frames under way and theirs are not."""
+
+    def axes(count: int) -> SampledLoop:
+        one = np.eye(count)
+        return SampledLoop(1e-2, one, frame=20.0 * one, pose=-100.0 * one, twist=0.05 * one)
+
+    clock = Clock(1, 20)
+    assert axes(6).few < clock.latency < axes(1).few
+    six, one = loop_margins(axes(6), clock), loop_margins(axes(1), clock)
+    assert not six.perfect
+    assert six.stable
+    assert six.gain == pytest.approx(one.gain, rel=1e-4)
+    assert six.latency.unstable is not None
+    assert (six.latency.least, six.latency.stable) == (one.latency.least, one.latency.stable)
+    assert (six.period.least, six.period.stable) == (one.period.least, one.period.stable)
+    assert six.border_frequency == pytest.approx(one.border_frequency, rel=1e-3)
+
+
 def test_a_mode_that_grows_beyond_all_numbers_is_unstable_at_every_clock() -> None:
     """x'' = -k x with T^2 k/2 = 7: by hand |z|^2 = 1 + 7, and 8^500 is beyond 1e308 over the 1000 ticks searched."""
     one = np.eye(1)
@@ -133,6 +152,7 @@ def test_a_mode_that_grows_beyond_all_numbers_is_unstable_at_every_clock() -> No
     found = loop_margins(loop, Clock(100, 0))
     assert not found.stable
     assert not found.has_camera
+    assert found.period.looked_at == 1000  # in both directions
 
 
 def test_counted_modes_are_those_of_the_eigenvalues() -> None:
