@@ -304,7 +304,7 @@ def _way(scene: Scene, goal: Poses | None) -> tuple[Array, Mask, float]:
     within = scene.reachable(way)
     held = (way[row] for row in np.flatnonzero(within))
     forces = [float(np.abs(_forces(scene, at, _actual_weight(scene, at))).max()) for at in held]
-    # A pose at the border of reach that is singular has no force: it ends the way, as `within` tells.
+    # A pose at the border of reach that is singular has no force: it is left out, and `within` ends there.
     return scene.limits_left(way), within, max((force for force in forces if np.isfinite(force)), default=0.0)
 
 
