@@ -8,8 +8,8 @@ gravity's, all sixteen sign patterns of the depth errors of the four points, eac
 `hexservo tune examples/tune-composite-30hz.yaml`; the table is computed without anything of the search.
 
 Drift, in closed form: of a pose error e the law estimates (J^T J + M)^-1 (J^T J_true + M) e, with the J that it has
-(docs/model.md, section 5). Where that matrix has an eigenvalue that is not positive, the loop drifts, which bounds the
-prior M from below.
+(docs/model.md, section 5). Where that matrix has an eigenvalue that is not positive, a loop with equal gains drifts,
+which bounds the prior M from below; with unequal gains the rates of docs/analysis/drift.md decide.
 
 Exit codes: 0 everything is met, 1 something is not met (with the amount), 2 bad input, 130 Ctrl-C.
 """

@@ -6,7 +6,8 @@ import json
 import math
 from collections import deque
 from dataclasses import replace
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 import hexservo as hs
 from hexservo import _core
 from hexservo.campaigns import loop_numbers
-from hexservo.findings.analysis import camera_rate
+from hexservo.findings.analysis import camera_rate, camera_runs
 from hexservo.findings.analysis.camera_margins import Border, crossing, exponents, gain_border, loop_margins, motion_of
 from hexservo.findings.analysis.linear_law import linear_law, linear_plant, rest_of
 from hexservo.findings.analysis.linear_loop import BORDER, Actuation, Clock, SampledLoop
@@ -126,6 +127,25 @@ def test_a_loop_that_a_perfect_camera_makes_unstable_has_limits_on_both_sides(la
     assert found.latency.looked_at <= loop.few * 10  # where modes have eigenvalues, and are not counted
 
 
+def test_limits_are_searched_also_with_many_frames_under_way() -> None:
+    """Six axes alike have the limits of one, whose eigenvalues are few with 20 frames under way and theirs are not."""
+
+    def axes(count: int) -> SampledLoop:
+        one = np.eye(count)
+        return SampledLoop(1e-2, one, frame=20.0 * one, pose=-100.0 * one, twist=0.05 * one)
+
+    clock = Clock(1, 20)
+    assert axes(6).few < clock.latency < axes(1).few
+    six, one = loop_margins(axes(6), clock), loop_margins(axes(1), clock)
+    assert not six.perfect
+    assert six.stable
+    assert six.gain == pytest.approx(one.gain, rel=1e-4)
+    assert six.latency.unstable is not None
+    assert (six.latency.least, six.latency.stable) == (one.latency.least, one.latency.stable)
+    assert (six.period.least, six.period.stable) == (one.period.least, one.period.stable)
+    assert six.border_frequency == pytest.approx(one.border_frequency, rel=1e-3)
+
+
 def test_a_mode_that_grows_beyond_all_numbers_is_unstable_at_every_clock() -> None:
     """x'' = -k x with T^2 k/2 = 7: by hand |z|^2 = 1 + 7, and 8^500 is beyond 1e308 over the 1000 ticks searched."""
     one = np.eye(1)
@@ -133,6 +153,19 @@ def test_a_mode_that_grows_beyond_all_numbers_is_unstable_at_every_clock() -> No
     found = loop_margins(loop, Clock(100, 0))
     assert not found.stable
     assert not found.has_camera
+    assert found.period.looked_at == 1000  # in both directions
+
+
+def test_no_camera_is_claimed_for_what_was_searched_alone() -> None:
+    scenario = hs.load_scenario("composite-30hz")
+    at_rest = loop_at_rest(scenario)
+    clock = clock_of(at_rest.scenario)
+    none = replace(loop_margins(at_rest.free, clock, borders=False), stable=False, perfect=False)
+    none = replace(none, period=Border(None, 1, 15), latency=Border(None, 0, 15))
+    assert not none.has_camera
+    first = camera_rate.CameraRate(scenario, None, at_rest, clock, none).section().sentences[0]
+    assert "No camera was found" in first
+    assert "at this latency with every period searched, and at this period with every latency searched" in first
 
 
 def test_counted_modes_are_those_of_the_eigenvalues() -> None:
@@ -659,6 +692,21 @@ def test_runs_that_kv_holds_where_they_start_decide_nothing() -> None:
     assert one.settles is True  # the other run alone counts
 
 
+@pytest.mark.parametrize(
+    ("errors", "ending"),
+    [
+        (0.01 + 5.0 * (1.0 - np.exp(-20.0 * np.linspace(0.0, 1.0, 1000))), "no nearer"),
+        (0.01 + np.exp(-200.0 * (np.linspace(0.0, 1.0, 1000) - 0.2) ** 2), "no nearer"),  # there and back
+        (np.linspace(1.0, 0.96, 1000), "goes on"),
+        (0.01 * np.exp(-20.0 * np.linspace(0.0, 1.0, 1000)), "settles"),
+        (np.full(1000, 0.01), "held"),
+    ],
+)
+def test_a_run_is_held_only_where_it_starts(errors: Array, ending: str) -> None:
+    result = SimpleNamespace(outcome="completed", feature_error=errors[:, None])
+    assert camera_runs._ending(cast(Any, result), cast(Any, SimpleNamespace(share=0.5))) == ending
+
+
 def test_a_loop_that_is_stable_at_rest_alone_is_called_bad() -> None:
     """The slope of K_v makes the linear loop stable; a run from 1 px leaves the stroke, as a single run shows."""
     scenario = hs.load_scenario("paper-composite").updated(
@@ -872,7 +920,10 @@ def test_a_slow_camera_may_be_stable_where_a_perfect_one_is_not(latency: float, 
     assert section.verdict == verdict
     assert f"unstable with a perfect camera, and {with_this} with this one" in section.sentences[0]
     assert "must be at least" in section.sentences[0]
-    assert section.data["without_kv"]["latency"]["smallest_stable"] > 0.0
+    smallest = section.data["without_kv"]["latency"]["smallest_stable"]
+    assert smallest > 0.0
+    (margins,) = (item for item in section.items if isinstance(item, Table))
+    assert ["smallest stable latency at this period", "ms", pytest.approx(1e3 * smallest)] in margins.rows
     assert (loop_numbers.delay_margin(scenario) > 0.0) is free.stable
 
 

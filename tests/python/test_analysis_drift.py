@@ -368,11 +368,60 @@ def test_a_spring_that_pushes_away_is_not_taken_for_a_drift_that_decays(composit
     assert result.section().verdict == "bad"
 
 
+def test_an_image_spring_that_pushes_away_counts_without_fuzzy_systems(composite: hs.Scenario) -> None:
+    """The rates are those of both springs over the damping, by finite differences where the image error is zero."""
+    home = {"target.desired_features": composite.target.initial_features, "controller.composite.fuzzy.enabled": False}
+    scenario = composite.updated({**home, "controller.composite.kp": 3e-6})
+    result = drift.analyse(scenario)
+    for pattern in size_of(result, 0.3).patterns:
+        spring = slopes_of_the_law(scenario, pattern.errors)[1] / np.broadcast_to(composite.controller.gains.kd, 6)
+        assert pattern.rate == pytest.approx(np.linalg.eigvals(spring).real.min(), abs=1e-5)
+    worst = pattern_of(result, WORST)
+    assert worst.start > 0.0
+    assert worst.rate < 0.0
+    own = {"uncertainty.depth": [0.3, -0.3, -0.3, 0.3]}
+    assert drift.analyse(scenario.updated(own)).section().verdict == "bad"
+
+
+def test_without_fuzzy_systems_a_drift_ends_where_the_springs_balance(composite: hs.Scenario) -> None:
+    scenario = composite.updated(
+        {
+            "uncertainty.depth": [0.3, -0.3, -0.3, 0.3],
+            "controller.composite.fuzzy.enabled": False,
+            "controller.composite.kp": 1e-6,
+        }
+    )
+    own = drift.analyse(scenario).own
+    assert own is not None
+    assert own.end is not None
+    rest = Rest(scenario)
+    end = rest.home.moved(own.end[None])
+    np.testing.assert_allclose(rest.spring(end) / scenario.controller.gains.kt, 0.0, atol=1e-9)
+    assert np.abs(rest.pose_error(end)).max() > 1e-5
+
+
+@pytest.mark.parametrize(
+    ("law", "changes", "keys"),
+    [
+        ("resolved_rate", {"gain": 0.0}, "controller.resolved_rate.gain"),
+        ("computed_torque", {"kp": 0.0}, "controller.computed_torque.kp"),
+        ("composite", {"kt": 0.0, "kp": 0.0, "fuzzy.enabled": False}, "kt and controller.composite.kp"),
+        ("composite", {"drive": 0.0}, "controller.composite.drive"),
+    ],
+)
+def test_gains_of_zero_leave_nothing_to_drift(law: str, changes: dict[str, Any], keys: str, paper: hs.Scenario) -> None:
+    gains = {f"controller.{law}.{key}": value for key, value in changes.items()}
+    section = drift.analyse(paper.updated({"controller.law": law, **gains})).section()
+    assert section.verdict == "open"
+    assert f"{keys}: expected a gain above 0 in some axis, got 0 in all" in section.sentences[0]
+
+
 def test_axes_without_a_drive_are_excluded(composite: hs.Scenario) -> None:
     result = drift.analyse(composite.updated({"controller.composite.drive": [4.0, 4.0, 4.0, 4.0, 4.0, 0.0]}))
     assert result.springs == 1
     assert result.own is not None
     assert result.own.rate > 0.1
+    assert result.own.end is None  # where that axis stays depends on the start
     assert result.section().verdict == "good"
     assert any("In 1 of the axes no pose error drives" in text for text in result.section().sentences)
 

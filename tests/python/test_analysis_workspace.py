@@ -286,6 +286,21 @@ def test_forces_around_the_goal_and_on_the_way_count_in_the_verdict(
     assert f"and {number(0.95 * found.force_limit)} N on the straight path" in loaded.sentences[0]
 
 
+def test_a_singular_pose_on_the_way_has_no_force_and_comes_first() -> None:
+    """A half-turn passes the singular quarter-turn, which is one of the poses: no legs hold the platform there."""
+    found = workspace.analyse(hs.load_scenario("textbook-half-turn"))
+    section = found.section()
+    assert section.verdict == "bad"
+    assert section.sentences[0].startswith("At the goal")
+    assert "the straight path to the goal comes to a singular pose" in section.sentences[0]
+    assert np.isfinite(found.way_force)
+    assert found.way_force >= float(np.abs(found.start.actual_forces).max())
+    assert not any(" inf " in sentence for sentence in section.sentences)
+    # Forces near their limit come first only where start and goals are within reach.
+    heavy = replace(found, way_force=found.force_limit).section()
+    assert heavy.sentences[0].startswith("At the goal")
+
+
 def test_a_camera_as_printed_leaves_the_legs_around_home(paper: hs.Scenario) -> None:
     found = workspace.analyse(paper.updated({"camera.convention": "as_printed"}))
     assert found.goal is None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -122,7 +123,7 @@ def _first_border(
         else:
             _, lowest = _change(stable, now, most, least_step) if both else (now, None)
             if lowest is None:
-                return Border(None, least, least)
+                return Border(None, least, most if both else least)
             inside, beyond = _change(stable, lowest, most, least_step)
     if both and lowest is None:
         last, shorter = _change(stable, min(inside, now), least, least_step)
@@ -189,17 +190,25 @@ def crossing(inside: tuple[SampledLoop, Clock], outside: tuple[SampledLoop, Cloc
 
 
 def _sides(
-    loop: SampledLoop, clock: Clock, period: Border, latency: Border, gain: tuple[float | None, float | None]
+    loop: SampledLoop,
+    clock: Clock,
+    period: Border,
+    latency: Border,
+    gain: tuple[float | None, float | None],
+    frames: int,
 ) -> tuple[tuple[SampledLoop, Clock], tuple[SampledLoop, Clock]] | None:
-    """Return a loop just inside and outside of a border: the one in gain, upwards first, else latency or period."""
+    """Return a loop just inside and outside of a border: the one in gain, upwards first, else latency or period.
+
+    Of latency and period only with at most so many frames under way, whose eigenvalues are computed.
+    """
     for factor in (gain[1], gain[0]):
         if factor is not None:
             sides = [(replace(loop, gain=loop.gain * factor * (1.0 + part)), clock) for part in (-1e-4, 1e-4)]
             sides.sort(key=lambda side: side[0].growing(clock))
             return sides[0], sides[1]
-    if latency.stable is not None and latency.unstable is not None and latency.unstable <= loop.few * clock.period:
+    if latency.stable is not None and latency.unstable is not None and latency.unstable <= frames * clock.period:
         return (loop, Clock(clock.period, latency.stable)), (loop, Clock(clock.period, latency.unstable))
-    if period.stable is not None and period.unstable is not None and clock.latency <= loop.few * period.stable:
+    if period.stable is not None and period.unstable is not None and clock.latency <= frames * period.stable:
         return (loop, Clock(period.stable, clock.latency)), (loop, Clock(period.unstable, clock.latency))
     return None
 
@@ -228,29 +237,32 @@ def loop_margins(loop: SampledLoop, clock: Clock, radius: float = 1.0, *, border
     ValueError
         With more than `most_frames` under way at the loop's own clocks.
     """
+    if clock.latency > most_frames(loop) * clock.period:
+        raise ValueError(f"clock: expected at most {most_frames(loop)} frames under way, got {clock}")
     drifts, drift_rate, perfect = _drifts(loop)
     wrong = drifts > MOST_DRIFTS  # a sign, which no camera mends
     allowed = 0 if wrong else drifts
+    # Growing modes cannot be counted where sensors have a period, nor where they may grow fast: determinants are then
+    # all rounding.
+    loop = loop if perfect else replace(loop, by_eigenvalues=True)
 
+    @cache
     def holds(period: int, latency: int) -> bool:
         return _holds(loop, Clock(period, latency), allowed)
 
     def holds_at(factor: float) -> bool:
         return _holds(replace(loop, gain=loop.gain * factor), clock, allowed)
 
-    if clock.latency > most_frames(loop) * clock.period:
-        raise ValueError(f"clock: expected at most {most_frames(loop)} frames under way, got {clock}")
     slowest = exponents(loop, clock)[0]
     stable = holds(clock.period, clock.latency)
     most = round(LONGEST / loop.tick)
     most_period, most_latency, least_period = max(most, 10 * clock.period), max(most, 10 * clock.latency), 1
-    crowded = not perfect and clock.latency > loop.few * clock.period
-    # Growing modes cannot be counted where sensors have a period, nor where they may grow fast: determinants are then
-    # all rounding. Clocks with few frames under way have eigenvalues.
-    if loop.reading > 1 or not perfect:
-        most_latency, least_period = min(most_latency, loop.few * clock.period), max(1, -(-clock.latency // loop.few))
+    frames = loop.few
+    if loop.reading > 1 or not perfect:  # clocks whose eigenvalues are computed: more frames if the loop's own has them
+        frames = frames if clock.latency <= frames * clock.period else most_frames(loop)
+        most_latency, least_period = min(most_latency, frames * clock.period), max(1, -(-clock.latency // frames))
     none: tuple[float | None, float | None] = (None, None)
-    if not borders or wrong or crowded:
+    if not borders or (wrong and not stable):
         period = Border(clock.period if stable else None, None, clock.period)
         latency, gain = Border(clock.latency if stable else None, None, clock.latency), none
     else:
@@ -264,7 +276,7 @@ def loop_margins(loop: SampledLoop, clock: Clock, radius: float = 1.0, *, border
         gain = (gain_border(holds_at, up=False), gain_border(holds_at, up=True))
 
     frequency, motion = float("nan"), None
-    sides = _sides(loop, clock, period, latency, gain) if borders else None
+    sides = _sides(loop, clock, period, latency, gain, frames) if borders else None
     if sides is not None:
         _, new = crossing(*sides)
         frequency = abs(new.imag) / (2.0 * np.pi)

@@ -120,7 +120,7 @@ class CameraRate(Part):
 def _check(at_rest: LoopAtRest, found: Margins) -> tuple[BorderRun, ...]:
     """Run the loop just inside and outside its stability limit: in gain if it has one, else in latency or period."""
     home = at_rest_at_home(at_rest)
-    loop = loop_at_rest(home).free
+    loop = replace(loop_at_rest(home).free, by_eigenvalues=not found.perfect)
     clock, tick = clock_of(home), home.simulation.step
     drifts = found.drifts
     if loop.growing(Clock(1, 0)) != at_rest.free.growing(

@@ -101,13 +101,19 @@ def _sentences(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Marg
     )
     follows = result.stable is True and not acting.stable  # the verdict is that of runs
     if not acting.has_camera:
-        none = "The linear loop is stable with no camera" if follows else "No camera is fast enough"
-        first = f"{none}: even with a frame at every tick and no latency a mode of the loop grows. " + (
-            "Several directions are driven the wrong way, as with a wrong sign of the image Jacobian "
-            "(controller.jacobian, camera.convention)."
-            if acting.drifts > MOST_DRIFTS
-            else "The law's gains do not suit the servo period, the sensors or the actuators."
-        )
+        if acting.drifts > MOST_DRIFTS:
+            none = "The linear loop is stable with no camera" if follows else "No camera is fast enough"
+            first = (
+                f"{none}: even with a frame at every tick and no latency a mode of the loop grows. Several directions "
+                "are driven the wrong way, as with a wrong sign of the image Jacobian (controller.jacobian, "
+                "camera.convention)."
+            )
+        else:
+            first = (
+                f"No camera was found with which the {'linear ' if follows else ''}loop is stable: with a frame at "
+                f"every tick and no latency a mode grows, and so it does {_NO_CAMERA}. The law's gains may not suit "
+                "the servo period, the sensors or the actuators."
+            )
     elif not acting.perfect:
         first = (
             "With a frame at every tick and no latency a mode of the loop grows: it is unstable with a perfect camera, "
@@ -182,13 +188,22 @@ def _about_kv(result: CameraRate, free: Margins, tick: float) -> list[str]:
         verdict = "would be stable" if other.stable else "would be unstable"
         rest = f"{verdict}; {_at_most(other.period, tick, 'period')}, and {_at_most(other.latency, tick, 'latency')}"
     else:
-        rest = "would be unstable with any camera"
+        rest = f"would be unstable {_without_camera(other)}"
     return [f"{taken}. {text} the loop {rest}."]
+
+
+# What a search without a stable camera covers: two lines, not all pairs of period and latency.
+_NO_CAMERA = "at this latency with every period searched, and at this period with every latency searched"
+
+
+def _without_camera(margins: Margins) -> str:
+    return "with any camera" if margins.drifts > MOST_DRIFTS else f"with this camera, and {_NO_CAMERA}"
 
 
 _ENDINGS = {
     "settles": "comes to rest",
     "held": "is held where it starts",
+    "no nearer": "comes to rest no nearer to its goal than it started",
     "goes on": "does not come to rest",
     "limit": "takes a leg beyond a limit",
     "ended": "ends early",
@@ -228,7 +243,8 @@ def _about_learned(result: CameraRate, tick: float) -> list[str]:
         return ["The task itself does not settle in the sampled loop: there are no learned weights to linearise at."]
     mode = f"its slowest mode {'grows' if learned.rate > 0.0 else 'decays'} at {abs(learned.rate):.3g} 1/s"
     if not learned.has_camera:
-        return [f"At the weights at the end of the task's own run the loop is unstable with any camera: {mode}."]
+        none = _without_camera(learned)
+        return [f"At the weights at the end of the task's own run the loop is unstable {none}: {mode}."]
     return [
         f"At the weights at the end of the task's own run the loop is {'stable' if learned.stable else 'unstable'}: "
         f"{mode}; {_at_most(learned.period, tick, 'period')}, and {_at_most(learned.latency, tick, 'latency')}."
@@ -335,6 +351,11 @@ def _number(border: Border, tick: float, less: int = 0) -> Cell:
     return value if border.unstable is not None else f"at least {value:.4g}"
 
 
+def _least(border: Border, tick: float) -> Cell:
+    """Return the shortest stable time in ms, where a shorter one is not stable."""
+    return None if border.least is None else 1e3 * border.least * tick
+
+
 def _items(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins) -> list[Table | HeatMap]:
     tick = at_rest.scenario.simulation.step
     all_three = {"K_v = 0": free, "slope k_v/width": result.smooth, "learned weights": result.learned}
@@ -346,7 +367,9 @@ def _items(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins)
     rows = [
         row("spectral radius over one period", "", lambda m: m.radius),
         row("growth of the slowest mode", "1/s", lambda m: m.rate),
+        row("smallest stable period at this latency", "ms", lambda m: _least(m.period, tick)),
         row("largest stable period at this latency", "ms", lambda m: _number(m.period, tick)),
+        row("smallest stable latency at this period", "ms", lambda m: _least(m.latency, tick)),
         row("largest stable latency at this period", "ms", lambda m: _number(m.latency, tick)),
         row("delay margin", "ms", lambda m: _number(m.latency, tick, clock.latency) if m.stable else None),
         row("gain factor at the limit, upwards", "", lambda m: m.gain[1]),
@@ -382,7 +405,7 @@ def _items(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins)
                 result.radii,
                 levels=(1.0,),
                 lines=(here,),
-                note="K_v = 0. Beyond the contour at 1 the loop is unstable"
+                note="K_v = 0. Where the radius is above 1 the loop is unstable"
                 + (", except for drifts." if free.drifts else ".")
                 + f" Empty where more than {at_rest.free.few} frames are in transit at once.",
                 page=PAGE,

@@ -26,10 +26,10 @@ _DURATIONS = (10.0, 40.0)  # of a run from a small start: the second one if the 
 _TICKS = 50_000  # of a run, at most
 _PARTS = 10  # of a run, whose motions are compared
 _QUIET, _MOVING = 0.05, 0.5  # of the largest motion: the last part has less at rest, and more where it goes on
-_HELD = 0.95  # of the starting error is left at the end of a run that K_v holds there
+_HELD = 0.95  # of the starting error, at least, is left at the end of a run that K_v holds there
 _GRID = 12  # clocks in the first round of a search for the stroke's border
 
-Ending: TypeAlias = Literal["settles", "held", "goes on", "limit", "ended", "open"]
+Ending: TypeAlias = Literal["settles", "held", "no nearer", "goes on", "limit", "ended", "open"]
 
 
 @dataclass(frozen=True)
@@ -38,8 +38,8 @@ class StartRun:
 
     offset: float  # largest feature offset at the start [px]
     duration: float  # [s]
-    # settles; held: at rest where it started; goes on moving; exceeds a limit of the legs; ended early; open: it is too
-    # slow to be judged
+    # settles; held: at rest where it started; no nearer: at rest elsewhere, as far from the goal; goes on moving;
+    # exceeds a limit of the legs; ended early; open: it is too slow to be judged
     ending: Ending
     peak: float  # largest |xi_d - xi| of the run [px]
     end: float  # the same at its end [px]
@@ -93,7 +93,7 @@ def _start_run(home: Scenario, offset: float, goal: Array) -> StartRun:
         ending = _ending(result, most_used(home, result.streamed_metrics))
         errors = np.abs(result.feature_error).max(axis=1)
         found = StartRun(offset, ticks * tick, ending, float(errors.max()), float(errors[-1]), travel)
-        if ending not in ("goes on", "open"):  # what learns, or decays slowly, may only need longer
+        if ending not in ("no nearer", "goes on", "open"):  # what learns, or decays slowly, may only need longer
             break
     assert found is not None
     return found
@@ -109,8 +109,11 @@ def _ending(result: Result, use: LimitUse) -> Ending:
     moved = np.array([np.ptp(part, axis=0).max() for part in parts])
     share = moved[-1] / max(float(moved.max()), 1e-300)
     if share < _QUIET:
-        start, end = np.abs(result.feature_error[[0, -1]]).max(axis=1)
-        return "held" if end > _HELD * start else "settles"
+        errors = np.abs(result.feature_error).max(axis=1)
+        start, end = errors[[0, -1]]
+        if end <= _HELD * start:
+            return "settles"
+        return "held" if _HELD * errors.max() <= start else "no nearer"
     return "goes on" if share > _MOVING and moved[-1] > 0.8 * moved[_PARTS // 2] else "open"
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from hexservo import _core
 from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.poses import Poses, without_sign
-from hexservo.findings.analysis.rest import Rest, not_analysed
+from hexservo.findings.analysis.rest import Rest, not_analysed, springs_of
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array, Mask
@@ -38,7 +38,7 @@ class Pattern:
     direction: Array  # (6,) [m; rad], in B: the one that belongs to `start`
     rate: float  # [1/s], smallest real part of the drift's rates, at the start
     goal_rate: float  # [1/s], the same at the goal; NaN where there is no goal pose
-    end: Array | None  # (6,) from home [m; rad], where the pose error is zero; None where none attracts
+    end: Array | None  # (6,) from home [m; rad], where it comes to rest (`ends`); None: none attracts, or is searched
     end_rate: float  # [1/s], as `rate`, there
     end_error: float  # [px], largest |xi_d - xi| there
     end_travel: float  # [m], largest leg travel there
@@ -187,7 +187,9 @@ class _Worker:
         self.inverse = np.array(getattr(self.gains, self.traits.inverse))
         self.expected = self.inverse if self.traits.prior else np.zeros(6)
         self.drive, self.driven_by = self._drive()
-        self.springs = 6 - int(np.linalg.matrix_rank(self.drive))  # axes in which no pose error becomes a velocity
+        at_start = self.springs_over_damping(np.eye(6), self.true[0], self.true[0])
+        scaled = (self.drive if self.integrates else at_start) * self.rest.unit / self.rest.unit[:, None]
+        self.springs = 6 - int(np.linalg.matrix_rank(scaled))  # axes in which no error becomes a velocity
         self.learning = self._learning() if self.integrates else np.zeros(6)
 
     def _drive(self) -> tuple[Array, str]:
@@ -211,13 +213,42 @@ class _Worker:
                 pulls, damps = inertia @ pulls, inertia @ damps
             damps = damps + np.diag(resists)
             ratio = f"K_{spring[1]}/(K_d + D_v)"
-        return np.linalg.solve(damps, pulls), f"{ratio} times the eigenvalue{friction}"
+        how = f"{ratio} times the eigenvalue"
+        if self.image_spring:
+            how = f"its springs K_t E + J^T K_p J over {ratio.removeprefix('K_t/')}"
+        return np.linalg.solve(damps, pulls), how + friction
+
+    @property
+    def image_spring(self) -> bool:
+        """Whether an image error moves the platform beside the pose error: without fuzzy systems, which balance it."""
+        return hasattr(self.gains, "kt") and not self.integrates and bool(np.any(self.gains.kp))
+
+    def of_image(self, known: Array, true: Array) -> Array:
+        """Return J-hat^T K_p J (..., 6, 6), the stiffness of the image spring of a law that has K_t as well."""
+        return np.asarray(np.swapaxes(known, -1, -2) @ (self.gains.kp[:, None] * true))
+
+    def springs_over_damping(self, error: Array, known: Array, true: Array) -> Array:
+        """Return the matrix (..., 6, 6) [1/s] of the rates without fuzzy systems, of E (..., 6, 6), J-hat and J."""
+        rates = self.drive @ error
+        if self.image_spring:
+            rates = rates + self.of_image(known, true) / (self.gains.kd + self._virtual_damping)[:, None]
+        return np.asarray(rates)
 
     @property
     def _virtual_damping(self) -> Array:
         """Damping (6,) of the virtual platform that moves where the legs take positions [N s/m; N m s/rad], else 0."""
         scenario = self.rest.scenario
         return np.broadcast_to(scenario.controller.virtual_platform.damping, 6) * scenario.actuators.takes_positions
+
+    @property
+    def _gain_keys(self) -> str:
+        """Return the keys of what takes an error to a velocity."""
+        block = f"controller.{self.traits.name}."
+        if self.traits.output == "twist":
+            return f"{block}gain"
+        if self.integrates:
+            return f"{block}drive"
+        return f"{block}kt and {block}kp" if hasattr(self.gains, "kt") else f"{block}kp"
 
     def _learning(self) -> Array:
         """Return kappa = |phi-bar|^2/Psi (6,) [N/m; N m/rad]: output of the fuzzy systems per displacement, at rest."""
@@ -258,10 +289,9 @@ class _Worker:
         """Return the smallest real part of the drift's rates [1/s], (n,), of J-hat (n, 2p, 6) and J: see `matrix`."""
         error = self.matrix(known, true, inverse, expected)
         if not self.integrates:
-            return self._smallest_of(error @ self.drive)
+            return self._smallest_of(self.springs_over_damping(error, known, true))
         gains, learning = self.gains, np.diag(self.learning)
-        image = np.swapaxes(known, -1, -2) @ (gains.kp[:, None] * true)
-        stiffness = learning + gains.kt[:, None] * error + image
+        stiffness = learning + gains.kt[:, None] * error + self.of_image(known, true)
         damping = gains.kd + self._virtual_damping
         # An axis without damping has some: what is that fast does not count, but for its sign.
         damping = np.maximum(damping, _FAST * (self.learning + gains.kt))[:, None]
@@ -321,21 +351,28 @@ class _Worker:
         return tuple(found)
 
     def ends(self, errors: Array) -> tuple[Poses, Mask]:
-        """Search for poses of zero pose error, from the start; return them and which converged."""
+        """Search for the poses where a drift ends, from the start; return them and which converged.
+
+        There the pose error is zero, or with an image spring the sum of the springs. None is searched without an
+        expected prior, which bounds no drift, nor where an axis without a drive stays where it is.
+        """
         count = len(errors)
         poses = self.rest.start.repeated(count)
         last = np.full(count, np.inf)
-        for _ in range(_CREEP_ROUNDS if self.expected.any() else 0):
+        for _ in range(_CREEP_ROUNDS if self.expected.any() and not self.springs else 0):
             features, depth = self.rest.image(poses)
             seen = np.asarray(np.isfinite(features).all(axis=1))
             if not seen.any():
                 break
             there = poses[seen]
             at = (there.position, there.quaternion, np.zeros((len(there), 6)))
-            error = self.rest.probe.law(features[seen], (1.0 + errors[seen]) * depth[seen], *at).pose_error
-            assert error is not None  # a law with a prior regulates one
+            law = self.rest.probe.law(features[seen], (1.0 + errors[seen]) * depth[seen], *at)
             image = (there, features[seen], depth[seen])
-            slope = self.matrix(self.jacobian(*image, errors[seen]), self.jacobian(*image))
+            known, true = self.jacobian(*image, errors[seen]), self.jacobian(*image)
+            error, slope = law.pose_error, self.matrix(known, true)
+            assert error is not None  # a law with a prior regulates one
+            if self.image_spring:
+                error, slope = springs_of(law), self.gains.kt[:, None] * slope + self.of_image(known, true)
             step = np.zeros((count, 6))
             step[seen] = np.linalg.solve(slope, error[..., None])[..., 0]
             scaled = np.abs(step / self.rest.unit).max(axis=1)
@@ -393,7 +430,13 @@ class _Worker:
         return low
 
     def drift(self) -> Drift:
-        """Compute all results."""
+        """Compute all results; open where no axis has a drive."""
+        if self.springs == 6:
+            return Drift(
+                self.traits.name,
+                f"{self._gain_keys}: expected a gain above 0 in some axis, got 0 in all: no error moves the platform, "
+                "so that nothing drifts.",
+            )
         own = np.array(self.rest.settings["uncertainty.depth"], dtype=float)
         size = float(np.abs(own).max())
         sizes = sorted({*SIZES, *([size] if size > 0.0 else [])})

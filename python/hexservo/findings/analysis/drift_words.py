@@ -71,7 +71,7 @@ def _sentences(found: Drift) -> list[str]:
     if found.springs:
         words.append(
             f"In {found.springs} of the axes no pose error drives the platform: nothing drifts there, and they are "
-            "excluded."
+            "excluded. No end of the drift is given."
         )
     limits = [limit for limit in (found.limit_start, found.limit_goal) if limit is not None]
     if limits:
@@ -135,8 +135,9 @@ def _items(found: Drift) -> list[Item]:
                 (Column("leg travel there", found.leg_unit, ".3g"), lambda p: finite(1e3 * p.end_travel)),
                 (Column("direction"), lambda p: direction_words(p.direction, found.depth)),
             ],
-            note="A negative time constant is that of growth. The end is where the pose error is zero, by Newton's "
-            "method on the core's law, without a gravity error.",
+            note="A negative time constant is that of growth. The end is where the pose error is zero, or, with an "
+            "image spring and without fuzzy systems, the sum of the springs, by Newton's method on the core's law, "
+            "without a gravity error.",
             page=PAGE,
         ),
         Table.of(
@@ -219,5 +220,5 @@ def _chosen(found: Drift) -> Size:
 
 
 def _beyond(found: Drift, pattern: Pattern) -> bool:
-    """Return whether a drift leaves the legs' limits. Without an expected prior it has no end, and none is searched."""
-    return found.has_prior if pattern.end is None else pattern.end_left < 0.0
+    """Return whether a drift leaves the legs' limits. Where none is searched it has no end (`ends`)."""
+    return found.has_prior and not found.springs if pattern.end is None else pattern.end_left < 0.0

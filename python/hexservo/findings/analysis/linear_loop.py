@@ -74,6 +74,7 @@ class SampledLoop:
     actuation: Actuation = field(default_factory=Actuation)
     gain: float = 1.0  # factor on the proportional gains
     disturbance: Array | None = None  # (n, k) wrench of each of k disturbances; None: k = 0
+    by_eigenvalues: bool = False  # how growing modes are found with any number of frames under way
     _powers: dict[tuple[str, int], Array] = field(default_factory=dict, init=False, repr=False)
 
     # --- the state of a tick: x, v | s | sensors' x, v | commands under way, lag | frame in use -------------------
@@ -117,7 +118,7 @@ class SampledLoop:
     def few(self) -> int:
         """Frames under way up to which growing modes are found from the eigenvalues; beyond it they are counted.
 
-        They cannot be counted if the joint sensors have a separate period.
+        They cannot be counted if the joint sensors have a separate period, and are not `by_eigenvalues`.
         """
         return max(1, (_LARGEST - self.size) // int(self.frame.shape[1]))
 
@@ -309,7 +310,7 @@ class SampledLoop:
 
     def growing(self, clock: Clock) -> int:
         """Count the modes that grow: multipliers beyond `BORDER`."""
-        if self.reading == 1 and clock.latency // clock.period > self.few:
+        if self.reading == 1 and not self.by_eigenvalues and clock.latency // clock.period > self.few:
             return self._counted(clock)
         return int(np.sum(np.abs(self.multipliers(clock)) > BORDER))
 

@@ -19,6 +19,18 @@ from hexservo.scenario.scenario import Scenario
 _STEPS = np.repeat([1e-5, 1e-5], 3)  # [m; rad], of the central differences of a wrench
 
 
+def springs_of(law: _core.LawProbe) -> Array:
+    """Return the parts of a law's wrench that depend on the pose alone, (n, 6) in B [N; N m].
+
+    Friction, fuzzy systems and weight are left out.
+    """
+    springs: Array = sum(
+        (wrench for part, wrench in law.parts.items() if part not in ("switching", "fuzzy")),
+        start=np.zeros_like(law.wrench),
+    )
+    return springs
+
+
 class Rest(Scene):
     """A scene with its law and plant, for a platform at rest.
 
@@ -88,19 +100,8 @@ class Rest(Scene):
         return self._of_law(lambda law: law.wrench, poses, twist)
 
     def spring(self, poses: Poses, *, exact_depth: bool = False) -> Array:
-        """Return the parts of the law's wrench that depend on the pose alone, (..., 6) in B [N; N m].
-
-        Friction, fuzzy systems and weight are left out. NaN where not all points are in view.
-        """
-
-        def springs(law: _core.LawProbe) -> Array:
-            found: Array = sum(
-                (wrench for part, wrench in law.parts.items() if part not in ("switching", "fuzzy")),
-                start=np.zeros_like(law.wrench),
-            )
-            return found
-
-        return self._of_law(springs, poses, exact_depth=exact_depth)
+        """Return `springs_of` the law at poses, (..., 6) in B [N; N m]; NaN where not all points are in view."""
+        return self._of_law(springs_of, poses, exact_depth=exact_depth)
 
     def pose_error(self, poses: Poses) -> Array:
         """Return the pose error that the law regulates, (..., 6) in B [m; rad]; NaN where not all points are in view.

@@ -70,7 +70,7 @@ class Workspace(Part):
     # (51,) share of the legs' limits left on the straight way from the start to `goal`; empty without one
     way_left: Array
     way_within: Mask  # (51,) whether the legs reach it there
-    way_force: float  # [N], largest leg force that holds the actual weight there, within reach; 0 without a way
+    way_force: float  # [N], largest leg force that holds the actual weight there, within reach, not singular; 0: none
     neighbourhood_singularity: float  # smallest of random poses within reach around the goal, or the start
     neighbourhood_lever_arm: float  # the same
     neighbourhood_force: float  # [N], largest leg force that holds the actual weight there
@@ -303,8 +303,9 @@ def _way(scene: Scene, goal: Poses | None) -> tuple[Array, Mask, float]:
     way = scene.start.moved(np.linspace(0.0, 1.0, WAY)[:, None] * displacement)
     within = scene.reachable(way)
     held = (way[row] for row in np.flatnonzero(within))
-    force = max((float(np.abs(_forces(scene, at, _actual_weight(scene, at))).max()) for at in held), default=0.0)
-    return scene.limits_left(way), within, force
+    forces = [float(np.abs(_forces(scene, at, _actual_weight(scene, at))).max()) for at in held]
+    # A pose at the border of reach that is singular has no force: it is left out, and `within` ends there.
+    return scene.limits_left(way), within, max((force for force in forces if np.isfinite(force)), default=0.0)
 
 
 def _left_map(scene: Scene, centre: Poses) -> tuple[Array, Array, Array]:

@@ -80,9 +80,9 @@ def _sentences(found: Workspace) -> list[str]:
 
 
 def _overloaded(found: Workspace) -> bool:
-    """Return whether the holding forces are near the limit of the legs, or beyond, and no other limit is exceeded."""
-    beyond = (found.nearest or found.start).left < 0
-    return not beyond and _largest_force(found) > (1 - _SLIM) * found.force_limit
+    """Return whether forces are near the limit of the legs, or beyond, while start and goals are within reach."""
+    reachable = all(place.reachable for place in _places(found))
+    return reachable and _largest_force(found) > (1 - _SLIM) * found.force_limit
 
 
 def _largest_force(found: Workspace) -> float:
