@@ -94,6 +94,7 @@ function refresh() {
   write($("about-preset"), presetOf(state.preset).description);
   controls.show(state);
   keyList.show(state);
+  write($("pin"), state.pinned ? "Compare with the preset" : "Compare with this run");
   if (document.body.dataset.map) map.show(state); // at once, also where the core will refuse the state
   const [all, acting] = [Object.keys(state.changes).length, actingChanges(state).length];
   const count = acting || all;
@@ -151,6 +152,7 @@ function show() {
   result.isChanged = !isSameRun(of, referenceOf(of));
   result.ghost = ghost();
   document.body.dataset.ghost = result.ghost ? "yes" : "";
+  for (const note of document.querySelectorAll("small.ghost")) write(note, of.pinned ? "pale: pinned run" : "pale: the preset");
   result.targetMoves = valueOf(of, "target.motion.kind") !== "none";
   image.show({ ...result, goals: result.scene.goal, movable: pixelsAreFeatures(of) });
   scene.show(result, down.map((g) => -g));
@@ -217,13 +219,6 @@ function ghost() {
   return { ...against, stride: Math.max(1, Math.round(own / other) || 1) }; // two runs that are compared are sampled alike
 }
 
-/** Names what is compared with in what lies pale behind, and on the button that changes it. */
-function nameReference() {
-  const { pinned } = state;
-  for (const note of document.querySelectorAll("small.ghost")) write(note, pinned ? "pale: pinned run" : "pale: the preset");
-  write($("pin"), pinned ? "Compare with the preset" : "Compare with this run");
-}
-
 function verdict() {
   const [kind, words] = ending(result.state, result);
   $("verdict").className = `verdict ${kind}`;
@@ -271,7 +266,6 @@ function table() {
 
 function compare() {
   reference = null;
-  nameReference();
   const against = referenceOf(state);
   referee?.run(drawn(against), against);
 }

@@ -379,6 +379,22 @@ def test_a_run_that_is_pinned_takes_the_place_of_the_presets(visit: Visit) -> No
     assert page.evaluate("explorer.reference.state.changes") == {}
 
 
+@in_browser
+def test_a_preset_that_is_pinned_as_it_is_is_called_the_pinned_run(visit: Visit) -> None:
+    """Its run is the reference already: only the words change."""
+    page = visit.page
+    visit.go("#paper")
+    page.click("#pin")
+    page.wait_for_function("explorer.shown.includes('pinned=')")
+    assert page.locator("#pin").inner_text() == "Compare with the preset"
+    visit.go("#task-tilt&pinned=paper")
+    page.wait_for_function("explorer.result.ghost")
+    assert page.locator(".ghost:visible").all_inner_texts() == ["pale: pinned run"] * 2
+    page.click("#pin")
+    page.wait_for_function("explorer.shown === '#task-tilt'")
+    assert page.locator("#pin").inner_text() == "Compare with this run"
+
+
 # --- scenarios in and out
 
 
