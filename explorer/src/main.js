@@ -72,7 +72,7 @@ function goTo(address) {
 function run(isDragged = false) {
   if (!runner) return;
   waitTimer ||= setTimeout(wait, LONG);
-  runner.run(drawn(state, isDragged), { asked: performance.now(), state });
+  runner.run(drawn(state, isDragged), { asked: performance.now(), state }, isDragged);
 }
 
 /** What is shown is of an older state, for longer than one notices. */

@@ -195,20 +195,41 @@ def test_samples_of_a_run_at_rest_are_as_many_as_it_needs(visit: Visit) -> None:
     assert page.evaluate(spacing) == pytest.approx(0.002)
     caption = page.locator("figure:has(#chart-0) figcaption")
     for event, expected, words in (("input", 0.025, "samples 0.025 s apart"), ("change", 0.002, "")):
-        page.evaluate(
-            """event => {
-              explorer.shown = null;
-              const slider = document.querySelector('[data-id="uncertainty.depth"]');
-              slider.value = 510;
-              slider.dispatchEvent(new Event(event));
-            }""",
-            event,
-        )
-        page.wait_for_function("explorer.shown !== null")
+        slide(page, "uncertainty.depth", event)
         assert page.evaluate(spacing) == pytest.approx(expected)
         apart = page.evaluate("explorer.result.ghost.stride * explorer.result.ghost.samples.time[1]")
         assert apart == pytest.approx(expected), "what is pale is drawn as coarse"
         assert caption.locator("small").last.inner_text() == words
+
+
+def slide(page: Page, name: str, event: str) -> None:
+    """Move a slider a little, as a drag does (event "input") or its end ("change")."""
+    page.evaluate(
+        """([name, event]) => {
+          explorer.shown = null;
+          const slider = document.querySelector(`[data-id="${name}"]`);
+          slider.value = 510;
+          slider.dispatchEvent(new Event(event));
+        }""",
+        [name, event],
+    )
+    page.wait_for_function("explorer.shown !== null")
+
+
+@in_browser
+@pytest.mark.parametrize(
+    ("address", "in_a_drag"),
+    [("#paper&uncertainty.gravity=0.2&simulation.duration=20", 0.025), ("#fails-wrong-sign", 0.001)],
+)
+def test_a_drag_computes_only_a_short_run_twice(visit: Visit, address: str, in_a_drag: float) -> None:
+    """For the samples of one that ends early: twice the time of a longer one is seen. At rest every step is there."""
+    page = visit.page
+    visit.go(address)
+    for event, expected in (("input", in_a_drag), ("change", 0.001)):
+        slide(page, "uncertainty.inertia", event)
+        times = page.evaluate("[...explorer.result.samples.time.slice(0, 2), explorer.result.time]")
+        assert page.evaluate("explorer.result.outcome") != "completed"
+        assert times[1] - times[0] == pytest.approx(expected), times
 
 
 @in_browser
@@ -663,11 +684,16 @@ def test_a_run_that_ends_early_tells_the_limits_that_it_passed(visit: Visit) -> 
     kinds = sorted(first, key=lambda kind: first[kind].time)
     assert [float(item.split()[0]) for item in told[:-1]] == pytest.approx([first[kind].time for kind in kinds])
     assert f"stroke of leg {first['stroke'].leg}, and " in told[kinds.index("stroke")]
-    assert told[-1].endswith("diverged")
+    assert told[-1] == "0.041 s diverged"
     items.nth(kinds.index("stroke")).click()
     assert float(page.locator("#now").inner_text().split()[0]) == pytest.approx(first["stroke"].time, abs=0.0011)
     visit.go("#paper")
     assert items.all_inner_texts() == ["0.353 s settles", "5 s end"]
+    for name in ("fails-wrong-sign", "fails-leg-limits", "fails-coarse-step"):
+        visit.go(f"#{name}")
+        time = re.search(r" at t = ([\d.]+) s", page.locator("#verdict").inner_text())
+        assert time is not None, name
+        assert items.last.inner_text().startswith(f"{time[1]} s "), "as in the sentence"
 
 
 # Colours [r, g, b, a] at places of a canvas: of a chart (time [s], value [unit of the chart]), or of the image [px].
