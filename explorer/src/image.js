@@ -125,7 +125,10 @@ export class ImageView {
     const errors = samples.feature_error;
     const [goalX, goalY] = this.place(goals[2 * point], goals[2 * point + 1]);
     const line = new Line(c);
-    for (let at = 2 * point; at < 2 * points * rows; at += 2 * points * stride) line.to(goalX - this.scale * errors[at], goalY + this.scale * errors[at + 1]);
+    const to = (at) => line.to(goalX - this.scale * errors[at], goalY + this.scale * errors[at + 1]);
+    const last = 2 * points * (rows - 1) + 2 * point;
+    for (let at = 2 * point; at < last; at += 2 * points * stride) to(at);
+    to(last);
     line.end();
   }
 

@@ -211,12 +211,16 @@ function ending(of, run) {
 /** The run that what is shown is compared with, the preset's or the one that is pinned; null while that is computed. */
 const itsReference = () => (reference && same(reference.state, referenceOf(result.state)) ? reference : null);
 
-/** That run where it is another one than what is shown, and its features are as many; `stride`: samples from one that is drawn to the next. */
+const FEWEST_PALE = 100; // samples of a pale run that are drawn, however far apart those of the run before it are
+
+/** That run where it is another one than what is shown, and its features are as many; `stride`: samples from one that is drawn to the next, `step` [s]. */
 function ghost() {
   const against = itsReference();
   if (!against || !result.isChanged || against.points !== result.points) return null;
   const [own, other] = [result, against].map(({ samples: { time } }) => time[1] - time[0]);
-  return { ...against, stride: Math.max(1, Math.round(own / other) || 1) }; // two runs that are compared are sampled alike
+  const most = Math.floor(against.rows / FEWEST_PALE);
+  const stride = Math.max(1, Math.min(Math.round(own / other) || 1, most)); // two runs that are compared are drawn alike, where the pale one has the samples
+  return { ...against, stride, step: valueOf(against.state, "simulation.step") };
 }
 
 function verdict() {

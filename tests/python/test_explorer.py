@@ -193,13 +193,25 @@ def test_samples_of_a_run_at_rest_are_as_many_as_it_needs(visit: Visit) -> None:
     spacing = "explorer.result.samples.time[1] - explorer.result.samples.time[0]"
     visit.go("#paper&simulation.duration=20")
     assert page.evaluate(spacing) == pytest.approx(0.002)
-    caption = page.locator("figure:has(#chart-0) figcaption")
+    height = "document.querySelector('.charts').getBoundingClientRect().height"
+    before = page.evaluate(height)
     for event, expected, words in (("input", 0.025, "samples 0.025 s apart"), ("change", 0.002, "")):
         slide(page, "uncertainty.depth", event)
         assert page.evaluate(spacing) == pytest.approx(expected)
         apart = page.evaluate("explorer.result.ghost.stride * explorer.result.ghost.samples.time[1]")
         assert apart == pytest.approx(expected), "what is pale is drawn as coarse"
-        assert caption.locator("small").last.inner_text() == words
+        assert page.locator("#chart-0 .spacing").inner_text() == words
+        assert page.evaluate(height) == before, "charts stay where they are"
+
+
+@in_browser
+def test_of_a_long_pale_run_the_distance_of_samples_is_told(visit: Visit) -> None:
+    """Where it is wider than that of the run before it, which has every step."""
+    visit.go("#paper&pinned=paper%26simulation.duration%3D600")
+    visit.page.wait_for_function("explorer.result.ghost")
+    assert visit.page.evaluate("explorer.result.samples.time[1]") == pytest.approx(0.001)
+    notes = visit.page.locator(".chart .spacing").all_inner_texts()
+    assert notes == ["pale samples 0.06 s apart", "", ""]
 
 
 def slide(page: Page, name: str, event: str) -> None:
@@ -856,6 +868,20 @@ def test_behind_a_run_that_is_changed_is_that_of_the_preset(visit: Visit, scheme
     words = [f"{key}={','.join(map(str, value))}" for key, value in fewer.items()]
     assert visit.go("&".join(["#reachy-mini", *words]))["refusal"] is None
     assert page.evaluate("[explorer.reference.points, explorer.result.points, explorer.result.ghost]") == [5, 4, None]
+
+
+@in_browser
+def test_a_pale_run_is_drawn_to_its_end(visit: Visit) -> None:
+    """One of fewer samples than there are between two of the run before it."""
+    page = visit.page
+    pinned = "paper%26simulation.start.pose%3D0.003,0.003,0,0,0,0%26simulation.duration%3D0.05"
+    visit.go(f"#paper&simulation.duration=600&pinned={pinned}")
+    page.wait_for_function("explorer.result.ghost")
+    _, _, paths = features(page, "reference")
+    _, _, now = features(page, "result")
+    far = np.abs(now[:, None, :2] - paths[None, :, :2]).max(axis=2).min(axis=0) > 1.0
+    assert far.sum() > 10
+    assert pale_share(page, image_colours(page, [(float(x), float(y)) for x, y in paths[far, :2]])) > 0.5
 
 
 DISCS = """colours => colours.map(colour => {
