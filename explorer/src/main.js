@@ -111,20 +111,41 @@ function answer(message, tag) {
   if (tag.state !== state) waitTimer = setTimeout(wait, LONG); // for the one that was asked for since
   if (message.refusal) {
     document.body.classList.add("stale");
-    say(message.known ? message.refusal : `The core failed: ${message.refusal}`, ...ignored);
     globalThis.explorer.refusal = message.refusal;
+    if (result) {
+      result.state = { ...result.state, pinned: tag.state.pinned }; // what it is compared with is nothing that the core refused
+      show();
+    }
+    say(reasonOf(message), ...ignored);
     globalThis.explorer.shown = toAddress(tag.state);
     return;
   }
   globalThis.explorer.refusal = null;
   document.body.classList.remove("stale");
-  say(...ignored);
   const before = result;
   result = { ...message.result, state: tag.state };
   show();
+  say(...ignored, ...unmet());
   if (before) runner.reuse(before);
   queueMicrotask(() => latencies.push(performance.now() - tag.asked)); // after the charts, which draw in microtasks
   globalThis.explorer.shown = toAddress(tag.state);
+}
+
+const reasonOf = ({ refusal, known }) => (known ? refusal : `The core failed: ${refusal}`);
+
+/** What came of the run that a state is compared with. */
+function compared(message, against) {
+  if (message.progress !== undefined) return;
+  reference = message.refusal ? { refusal: reasonOf(message), state: against } : { ...message.result, state: against };
+  if (!result) return;
+  show();
+  if (globalThis.explorer.refusal === null) say(...ignored, ...unmet());
+}
+
+/** A sentence where what is shown has nothing to be compared with, for the core refused that. */
+function unmet() {
+  const refusal = isOfResult() ? reference.refusal : "";
+  return refusal ? [`${result.state.pinned ? "pinned run" : "preset"}: ${refusal}`] : [];
 }
 
 function say(...sentences) {
@@ -208,8 +229,11 @@ function ending(of, run) {
   return [beyond ? "warn" : "good", `Settles within ${band} at ${withUnit(values.settling_time, "s")}${beyond && `, but ${beyond}`}`];
 }
 
-/** The run that what is shown is compared with, the preset's or the one that is pinned; null while that is computed. */
-const itsReference = () => (reference && same(reference.state, referenceOf(result.state)) ? reference : null);
+/** Whether the reference that is there is that of what is shown: another one may be computed. */
+const isOfResult = () => reference !== null && same(reference.state, referenceOf(result.state));
+
+/** The run that what is shown is compared with, the preset's or the one that is pinned; null while that is computed, or where it was refused. */
+const itsReference = () => (isOfResult() && !reference.refusal ? reference : null);
 
 const FEWEST_PALE = 100; // samples of a pale run that are drawn, however far apart those of the run before it are
 
@@ -255,7 +279,7 @@ function table() {
   const reason = against ? incomparable(result, against) : "";
   const differs = against && result.isChanged && !reason;
   const label = pinned ? pinnedLabel(result.state, pinned) : "preset";
-  write($("of-preset"), reason ? `${label}, not comparable: ${reason}` : label);
+  write($("of-preset"), unmet().length ? `${label}, refused` : reason ? `${label}, not comparable: ${reason}` : label);
   for (const { name, unit: known, cells } of rows) {
     const unit = unitOfMetric(result.state, { name, unit: known });
     const [value, before] = [result.metrics[name], against?.metrics[name] ?? NaN];
@@ -425,11 +449,7 @@ refresh();
 try {
   [runner, referee] = await Promise.all([
     Runner.make(answer),
-    Runner.make((message, against) => {
-      if (!message.result) return;
-      reference = { ...message.result, state: against };
-      if (result) show();
-    }),
+    Runner.make(compared),
   ]);
   run();
   compare();

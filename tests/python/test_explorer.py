@@ -428,6 +428,35 @@ def test_a_preset_that_is_pinned_as_it_is_is_called_the_pinned_run(visit: Visit)
     assert page.locator("#pin").inner_text() == "Compare with this run"
 
 
+@in_browser
+def test_a_pinned_run_that_is_refused_is_named(visit: Visit) -> None:
+    page = visit.page
+    assert visit.go("#paper&pinned=paper%26controller.hybrid.kp%3D-1")["refusal"] is None
+    message = page.locator("#message")
+    message.wait_for()
+    assert message.inner_text().startswith("pinned run: controller.hybrid.kp[0]: expected ")
+    assert page.locator("#of-preset").inner_text() == "pinned: controller.hybrid.kp = -1, refused"
+    page.click("#pin")
+    page.wait_for_function("explorer.shown === '#paper'")
+    message.wait_for(state="hidden")
+    assert page.locator("#of-preset").inner_text() == "preset"
+
+
+@in_browser
+def test_the_last_good_run_can_be_pinned_beside_a_refused_state(visit: Visit) -> None:
+    page = visit.page
+    visit.go("#paper&uncertainty.gravity=0.02")
+    peaks = page.locator("#metrics tr:has(summary:text-is('peak error')) td")
+    assert visit.go("#paper&metrics.band=-1")["refusal"] is not None
+    page.click("#pin")
+    page.wait_for_function("explorer.shown.includes('pinned=')")
+    page.wait_for_function("explorer.reference?.state.changes['uncertainty.gravity']")
+    assert page.locator("#of-preset").inner_text() == "pinned: the same"
+    now, before = peaks.all_inner_texts()
+    assert now == before != ""
+    assert page.locator("#message").inner_text().startswith("metrics.band: expected ")
+
+
 # --- scenarios in and out
 
 
