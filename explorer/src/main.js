@@ -209,6 +209,7 @@ function at(next) {
   const row = Math.round(share * (result.rows - 1));
   const time = result.samples.time[row];
   image.draw(row);
+  $("border").style.visibility = image.showsBorder ? "" : "hidden"; // has its place, so that the views stay
   scene.draw(row);
   for (const chart of charts) chart.at(time, row);
   $("time").value = share;
@@ -247,6 +248,12 @@ function ghost() {
   return { ...against, stride, step: valueOf(against.state, "simulation.step") };
 }
 
+/** Offers all of the words where some lines of them are cut, or are there since that was chosen. */
+function cut() {
+  const isCut = ["verdict", "against"].some((name) => $(name).scrollHeight > $(name).clientHeight + 1);
+  $("more").hidden = !isCut && !$("words").classList.contains("whole");
+}
+
 function verdict() {
   const [kind, words] = ending(result.state, result);
   $("verdict").className = `verdict ${kind}`;
@@ -254,6 +261,7 @@ function verdict() {
   const against = itsReference();
   const before = against && result.isChanged ? ending(against.state, { ...against, detail: "" })[1] : "";
   write($("against"), before && `${result.state.pinned ? "Pinned run" : "Preset"}: ${before.replace(/^./, (letter) => letter.toLowerCase())}`);
+  requestAnimationFrame(cut); // with the layout of the frame
   image.canvas.setAttribute("aria-label", `Image plane: paths of ${result.points} features to their goals. ${words}. Arrow keys move a goal, digits choose it.`);
   write($("origin"), origin(result.state));
 }
@@ -382,8 +390,11 @@ matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => resu
 matchMedia("print").addEventListener("change", () => result && at(share));
 for (const name of ["focus", "blur"]) $("image").addEventListener(name, () => result && at(share));
 
-new ResizeObserver(([{ target }]) => document.documentElement.style.setProperty("--words", `${target.getBoundingClientRect().height}px`)).observe($("words"));
-$("verdict").addEventListener("click", () => $("words").classList.toggle("whole")); // where a phone cuts it
+new ResizeObserver(([{ target }]) => {
+  document.documentElement.style.setProperty("--words", `${target.getBoundingClientRect().height}px`);
+  cut();
+}).observe($("words"));
+for (const name of ["verdict", "against", "more"]) $(name).addEventListener("click", () => $("more").hidden || $("more").setAttribute("aria-expanded", $("words").classList.toggle("whole")));
 
 // --- out of the page
 

@@ -931,6 +931,7 @@ def test_the_border_of_the_image_is_drawn_and_what_is_outside_is_told(visit: Vis
     visit.go("#fails-lost-features")
     assert page.evaluate(pyramids) > 0
     assert page.evaluate("explorer.result.border") == [-68, 68, -68, 68]
+    assert page.locator("#border").is_visible()
     on, beside = image_colours(page, [(68, 5), (66, 5)])
     assert on[:3] == pytest.approx(rgb(page, "good"), abs=10)
     assert beside[:3] != pytest.approx(rgb(page, "good"), abs=10)
@@ -959,6 +960,8 @@ def test_the_border_of_the_image_is_drawn_and_what_is_outside_is_told(visit: Vis
             [np.polyval(np.polyfit(pixels[:, k], seen[:, k], 1), edges[:, k]) for k in (0, 1)]
         )
         assert page.evaluate("explorer.result.border") == pytest.approx([left, right, low, high], rel=1e-6), name
+    visit.go("#eye-to-hand")
+    assert page.locator("#border").is_hidden(), "its note is there where a side of it is in the picture"
     visit.go("#real-machine&camera.distortion.brown_conrady=-0.1,0,0,0,0")
     assert page.evaluate("explorer.result.border") is None, "a lens bends it"
 
@@ -1766,6 +1769,51 @@ def test_the_outcome_stays_in_view_and_covers_no_control(browser: Browser, file:
     assert box is not None
     on_top = "([x, y]) => document.elementFromPoint(x, y).dataset.id"
     assert page.evaluate(on_top, [box["x"] + 5, box["y"] + 8]) == "uncertainty.depth"
+    assert visit.problems == []
+    visit.context.close()
+
+
+@in_browser
+@pytest.mark.parametrize(("width", "height", "is_cut"), [(1280, 720, False), (390, 844, True), (844, 390, True)])
+def test_the_outcome_and_that_of_a_pinned_run_have_three_lines_and_all_where_one_asks(
+    browser: Browser, file: Path, width: int, height: int, is_cut: bool
+) -> None:
+    pinned = "paper%26uncertainty.gravity%3D0.3%26simulation.duration%3D20"
+    address = f"#paper&uncertainty.gravity=0.2&simulation.duration=20&pinned={pinned}"
+    visit = Visit(browser, file, address, viewport={"width": width, "height": height})
+    page = visit.page
+    page.wait_for_function("explorer.result.ghost")
+    page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    tall = "document.querySelector('.words').getBoundingClientRect().height"
+    against, more = page.locator("#against"), page.locator("#more")
+    assert against.is_visible()
+    assert page.evaluate(tall) <= 82
+    assert more.is_visible() == is_cut
+    if is_cut:
+        whole = "part => part.scrollHeight <= part.clientHeight + 1"
+        assert not against.evaluate(whole)
+        for is_open in (True, False):
+            more.press("Enter")
+            assert more.get_attribute("aria-expanded") == str(is_open).lower()
+            assert against.evaluate(whole) == is_open
+    assert visit.problems == []
+    visit.context.close()
+
+
+@in_browser
+@pytest.mark.parametrize("width", [390, 801, 844])
+def test_captions_of_the_views_fit_into_their_cards(browser: Browser, file: Path, width: int) -> None:
+    """Of an image with a border, before another run."""
+    visit = Visit(
+        browser, file, "#fails-lost-features&uncertainty.gravity=0.05", viewport={"width": width, "height": 900}
+    )
+    page = visit.page
+    page.wait_for_function("explorer.result.ghost")
+    assert page.locator("figure:has(#image) .ghost").is_visible()
+    sizes = "all => all.map(e => [e.scrollWidth - e.clientWidth, e.clientHeight])"
+    for over, tall in page.locator(".views figcaption").evaluate_all(sizes):
+        assert over <= 0
+        assert tall <= 66
     assert visit.problems == []
     visit.context.close()
 
