@@ -429,6 +429,15 @@ def test_a_preset_that_is_pinned_as_it_is_is_called_the_pinned_run(visit: Visit)
 
 
 @in_browser
+def test_one_number_for_all_entries_of_an_array_makes_no_other_run(visit: Visit) -> None:
+    page = visit.page
+    visit.go("#paper&uncertainty.gravity=0.02&pinned=paper%26uncertainty.gravity%3D0.02,0.02,0.02,0.02,0.02,0.02")
+    page.wait_for_function("explorer.reference")
+    assert page.locator("#of-preset").inner_text() == "pinned: the same"
+    assert page.evaluate("explorer.result.ghost") is None
+
+
+@in_browser
 def test_a_pinned_run_that_is_refused_is_named(visit: Visit) -> None:
     page = visit.page
     assert visit.go("#paper&pinned=paper%26controller.hybrid.kp%3D-1")["refusal"] is None
