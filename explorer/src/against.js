@@ -1,14 +1,20 @@
 /** What a run is compared with, the preset's or one that is pinned, and whether their metrics compare. */
 import { withUnit } from "./format.js";
-import { actingChanges, keys, same, textOf, valueOf } from "./model.js";
+import { actingChanges, keys, same, textOf, valueOf, whole } from "./model.js";
 
 /** The state whose run is the reference of a state. */
 export const referenceOf = ({ preset, pinned }) => pinned ?? { preset, changes: {} };
 
+/** Whether two states have the same value of a key. */
+function agree(key, one, other) {
+  const [first, second] = [one, other].map((state) => whole(state.preset, key, valueOf(state, key)));
+  return same(first, second);
+}
+
 /** Keys whose values differ between two states, of those that act in either and that either has changed. */
 function differences(one, other) {
   const changed = new Set([one, other].flatMap(actingChanges).map(([key]) => key));
-  return [...changed].filter((key) => !same(valueOf(one, key), valueOf(other, key)));
+  return [...changed].filter((key) => !agree(key, one, other));
 }
 
 /** Whether two states are those of one run. */
@@ -29,7 +35,7 @@ export function incomparable(one, other) {
   if (one.outcome !== other.outcome) return `outcome ${one.outcome} against ${other.outcome}`.replaceAll("_", " ");
   const alike = Math.abs(one.time - other.time) <= 0.001 * other.time; // ends are whole steps
   if (!alike) return `${withUnit(one.time, "s")} against ${withUnit(other.time, "s")}`;
-  const different = MEASURED.find(([key]) => !same(valueOf(one.state, key), valueOf(other.state, key)));
+  const different = MEASURED.find(([key]) => !agree(key, one.state, other.state));
   return different ? `another ${different[1]}` : "";
 }
 

@@ -36,7 +36,9 @@ export function drawErrors(plot, { rows, points, stride, samples }, looks) {
       ctx.setLineDash(dash.map((length) => length * size));
       ctx.beginPath();
       const line = new Line(ctx);
-      for (let k = 0; k <= last; k += stride) line.to(left + right * time[k], top + up * errors[2 * points * k + j]);
+      const to = (k) => line.to(left + right * time[k], top + up * errors[2 * points * k + j]);
+      for (let k = 0; k < last; k += stride) to(k);
+      to(last);
       line.end();
       ctx.stroke();
     });

@@ -37,8 +37,9 @@ export class Chart {
     this.now = 0;
     this.row = 0;
     this.note = element("small", { class: "ghost" }, "pale: the preset");
-    this.spacing = element("small");
-    box.parentElement.querySelector("figcaption").append(this.note, this.spacing);
+    this.spacing = element("small", { class: "spacing" });
+    box.append(this.spacing); // beside the name of the axis: a note that comes and goes moves nothing
+    box.parentElement.querySelector("figcaption").append(this.note);
     new ResizeObserver(() => this.plot?.setSize(this.size())).observe(box);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
       this.count = -1;
@@ -81,12 +82,19 @@ export class Chart {
     else this.build(data);
   }
 
-  /** How far apart samples are, where lines between them may leave out what was there; "" where every step is drawn, or no gap is to be seen. */
+  /** How far apart samples are that are drawn, of the run or of the pale one behind it where those are farther apart; "" where lines between them leave out nothing that is to be seen. */
   gaps(plot) {
-    const { samples: { time }, rows, step, shown } = this.result;
-    const apart = rows > 2 ? time[1] - time[0] : 0;
-    const pixels = (apart / shown) * (plot.bbox.width / devicePixelRatio);
-    return apart > 1.5 * step && pixels > WIDEST_GAP ? `samples ${withUnit(apart, "s", 2)} apart` : "";
+    const ghost = FIGURES[this.figure].isOfErrors ? this.result.ghost : null;
+    const [own, behind] = [this.gap(plot, this.result), ghost ? this.gap(plot, ghost) : 0];
+    const widest = Math.max(own, behind);
+    return widest > 0 ? `${behind > own ? "pale " : ""}samples ${withUnit(widest, "s", 2)} apart` : "";
+  }
+
+  /** From one sample of a run that is drawn to the next [s]; 0 where every step is, or no gap is to be seen. */
+  gap(plot, { samples: { time }, rows, step, stride = 1 }) {
+    const apart = rows > 2 ? stride * (time[1] - time[0]) : 0;
+    const pixels = (apart / this.result.shown) * (plot.bbox.width / devicePixelRatio);
+    return apart > 1.5 * step && pixels > WIDEST_GAP ? apart : 0;
   }
 
   build(data) {

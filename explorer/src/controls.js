@@ -1,7 +1,7 @@
 /** Sliders for the keys that matter, and the list of all keys. */
 import { readable, rounded, short } from "./format.js";
 import { write } from "./view.js";
-import { acts, changed, keyOf, keysOf, listedKeysOf, parsed, presetValue, same, textOf, valueOf } from "./model.js";
+import { acts, changed, keyOf, keysOf, listedKeysOf, parsed, presetValue, same, textOf, valueOf, whole } from "./model.js";
 
 const element = (name, attributes = {}, ...children) => {
   const made = document.createElement(name);
@@ -25,12 +25,12 @@ function slider(state, key, { label, from = 0, to = Infinity, min, max, step = 0
   const unit = spec.unit.includes(";") ? spec.unit.split(";")[from >= 3 ? 1 : 0].trim() : spec.unit;
   const presets = presetValue(state.preset, key);
   const isPart = Number.isFinite(to) && Array.isArray(presets);
-  const whole = (value) => (isPart && value?.length === 1 ? presets.map(() => value[0]) : value); // one number stands for all entries
-  const entries = (value) => (Array.isArray(value) ? whole(value).slice(from, to) : [value ?? 0]);
+  const all = (value) => (isPart ? whole(state.preset, key, value) : value);
+  const entries = (value) => (Array.isArray(value) ? all(value).slice(from, to) : [value ?? 0]);
   const before = entries(presets);
   const current = entries(valueOf(state, key));
   const put = (now, numbers) => {
-    const old = whole(valueOf(now, key));
+    const old = all(valueOf(now, key));
     return changed(now, key, Array.isArray(old) ? old.map((x, i) => numbers[i - from] ?? x) : numbers[0]);
   };
   const isMixed = [before, current].some((numbers) => numbers.some((x) => x !== numbers[0]));

@@ -225,7 +225,8 @@ export class Core {
       events: this.events(),
       outcome: this.outcome(),
       detail: this.text(c.hexservo_run_detail(run)),
-      time: c.hexservo_run_time(run),
+      time: c.hexservo_run_time(run), // of the last sample; a run that ends early ends in the step after it
+      steps: this.taken,
     };
   }
 

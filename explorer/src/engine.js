@@ -49,20 +49,23 @@ export class Runner {
     return runner;
   }
 
-  /** @param {unknown} tag what the answer is handed over with */
-  run(scenario, tag) {
-    if (this.busy && !this.slow) this.waiting = [scenario, tag];
-    else this.start(scenario, tag);
+  /**
+   * @param {unknown} tag what the answer is handed over with
+   * @param {boolean} isDragged whether the next one is there soon, and pictures are to come fast
+   */
+  run(scenario, tag, isDragged = false) {
+    if (this.busy && !this.slow) this.waiting = [scenario, tag, isDragged];
+    else this.start(scenario, tag, isDragged);
   }
 
-  start(scenario, tag) {
+  start(scenario, tag, isDragged) {
     this.tag = tag;
     this.waiting = null;
     this.busy = true;
     this.slow = false;
     this.began = performance.now();
     this.id += 1;
-    this.worker.postMessage({ id: this.id, scenario, spare: this.spare }, Object.values(this.spare).map(({ buffer }) => buffer));
+    this.worker.postMessage({ id: this.id, scenario, spare: this.spare, isDragged }, Object.values(this.spare).map(({ buffer }) => buffer));
     this.spare = {};
   }
 

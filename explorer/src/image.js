@@ -73,7 +73,7 @@ export class ImageView {
     const { ghost } = this.shown;
     if (ghost) this.paths(c, { ...ghost, goals: ghost.scene.goal }, (i) => pale(lineColour(i)));
     this.paths(c, this.shown, lineColour);
-    if (this.shown.border) this.frame(c, this.shown.border);
+    this.showsBorder = this.shown.border !== null && this.frame(c, this.shown.border, width, height);
     c.setLineDash([4, 4]);
     c.strokeStyle = colour.faint;
     c.lineWidth = 1;
@@ -125,16 +125,21 @@ export class ImageView {
     const errors = samples.feature_error;
     const [goalX, goalY] = this.place(goals[2 * point], goals[2 * point + 1]);
     const line = new Line(c);
-    for (let at = 2 * point; at < 2 * points * rows; at += 2 * points * stride) line.to(goalX - this.scale * errors[at], goalY + this.scale * errors[at + 1]);
+    const to = (at) => line.to(goalX - this.scale * errors[at], goalY + this.scale * errors[at + 1]);
+    const last = 2 * points * (rows - 1) + 2 * point;
+    for (let at = 2 * point; at < last; at += 2 * points * stride) to(at);
+    to(last);
     line.end();
   }
 
-  /** The border of the camera's image. */
-  frame(c, [left, right, low, high]) {
+  /** The border of the camera's image; returns whether a side of it is in the picture. */
+  frame(c, [left, right, low, high], width, height) {
     const [[x, y], [farX, farY]] = [this.place(left, high), this.place(right, low)];
     c.strokeStyle = colours().good;
     c.lineWidth = 1.5;
     c.strokeRect(x, y, farX - x, farY - y);
+    const crosses = (at, end, from, to, otherEnd) => at > 0 && at < end && to > 0 && from < otherEnd;
+    return [x, farX].some((at) => crosses(at, width, y, farY, height)) || [y, farY].some((at) => crosses(at, height, x, farX, width));
   }
 
   /** Around the features, in the order of their direction from the middle. */

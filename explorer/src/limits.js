@@ -96,7 +96,7 @@ export function happenings(state, run, outside) {
   });
   const isEarly = run.outcome !== "completed";
   const settles = isEarly || Number.isNaN(run.metrics.settling_time) ? [] : [{ time: run.metrics.settling_time, kind: "good", words: "settles" }];
-  const end = { time: run.time, kind: isEarly ? "bad" : "", words: isEarly ? run.outcome.replaceAll("_", " ") : "end" };
+  const end = { time: isEarly ? run.steps * valueOf(state, "simulation.step") : run.time, kind: isEarly ? "bad" : "", words: isEarly ? run.outcome.replaceAll("_", " ") : "end" };
   const leaves = outside ? [{ time: outside.time, kind: "warn", words: `point ${outside.point} outside of the image` }] : [];
   return [...limits, ...leaves, ...settles].sort((one, other) => one.time - other.time).concat(end);
 }

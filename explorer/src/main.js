@@ -72,7 +72,7 @@ function goTo(address) {
 function run(isDragged = false) {
   if (!runner) return;
   waitTimer ||= setTimeout(wait, LONG);
-  runner.run(drawn(state, isDragged), { asked: performance.now(), state });
+  runner.run(drawn(state, isDragged), { asked: performance.now(), state }, isDragged);
 }
 
 /** What is shown is of an older state, for longer than one notices. */
@@ -94,6 +94,7 @@ function refresh() {
   write($("about-preset"), presetOf(state.preset).description);
   controls.show(state);
   keyList.show(state);
+  write($("pin"), state.pinned ? "Compare with the preset" : "Compare with this run");
   if (document.body.dataset.map) map.show(state); // at once, also where the core will refuse the state
   const [all, acting] = [Object.keys(state.changes).length, actingChanges(state).length];
   const count = acting || all;
@@ -110,20 +111,41 @@ function answer(message, tag) {
   if (tag.state !== state) waitTimer = setTimeout(wait, LONG); // for the one that was asked for since
   if (message.refusal) {
     document.body.classList.add("stale");
-    say(message.known ? message.refusal : `The core failed: ${message.refusal}`, ...ignored);
     globalThis.explorer.refusal = message.refusal;
+    if (result) {
+      result.state = { ...result.state, pinned: tag.state.pinned }; // what it is compared with is nothing that the core refused
+      show();
+    }
+    say(reasonOf(message), ...ignored);
     globalThis.explorer.shown = toAddress(tag.state);
     return;
   }
   globalThis.explorer.refusal = null;
   document.body.classList.remove("stale");
-  say(...ignored);
   const before = result;
   result = { ...message.result, state: tag.state };
   show();
+  say(...ignored, ...unmet());
   if (before) runner.reuse(before);
   queueMicrotask(() => latencies.push(performance.now() - tag.asked)); // after the charts, which draw in microtasks
   globalThis.explorer.shown = toAddress(tag.state);
+}
+
+const reasonOf = ({ refusal, known }) => (known ? refusal : `The core failed: ${refusal}`);
+
+/** What came of the run that a state is compared with. */
+function compared(message, against) {
+  if (message.progress !== undefined) return;
+  reference = message.refusal ? { refusal: reasonOf(message), state: against } : { ...message.result, state: against };
+  if (!result) return;
+  show();
+  if (globalThis.explorer.refusal === null) say(...ignored, ...unmet());
+}
+
+/** A sentence where what is shown has nothing to be compared with, for the core refused that. */
+function unmet() {
+  const refusal = isOfResult() ? reference.refusal : "";
+  return refusal ? [`${result.state.pinned ? "pinned run" : "preset"}: ${refusal}`] : [];
 }
 
 function say(...sentences) {
@@ -151,6 +173,7 @@ function show() {
   result.isChanged = !isSameRun(of, referenceOf(of));
   result.ghost = ghost();
   document.body.dataset.ghost = result.ghost ? "yes" : "";
+  for (const note of document.querySelectorAll("small.ghost")) write(note, of.pinned ? "pale: pinned run" : "pale: the preset");
   result.targetMoves = valueOf(of, "target.motion.kind") !== "none";
   image.show({ ...result, goals: result.scene.goal, movable: pixelsAreFeatures(of) });
   scene.show(result, down.map((g) => -g));
@@ -186,6 +209,7 @@ function at(next) {
   const row = Math.round(share * (result.rows - 1));
   const time = result.samples.time[row];
   image.draw(row);
+  $("border").style.visibility = image.showsBorder ? "" : "hidden"; // has its place, so that the views stay
   scene.draw(row);
   for (const chart of charts) chart.at(time, row);
   $("time").value = share;
@@ -206,22 +230,28 @@ function ending(of, run) {
   return [beyond ? "warn" : "good", `Settles within ${band} at ${withUnit(values.settling_time, "s")}${beyond && `, but ${beyond}`}`];
 }
 
-/** The run that what is shown is compared with, the preset's or the one that is pinned; null while that is computed. */
-const itsReference = () => (reference && same(reference.state, referenceOf(result.state)) ? reference : null);
+/** Whether the reference that is there is that of what is shown: another one may be computed. */
+const isOfResult = () => reference !== null && same(reference.state, referenceOf(result.state));
 
-/** That run where it is another one than what is shown, and its features are as many; `stride`: samples from one that is drawn to the next. */
+/** The run that what is shown is compared with, the preset's or the one that is pinned; null while that is computed, or where it was refused. */
+const itsReference = () => (isOfResult() && !reference.refusal ? reference : null);
+
+const FEWEST_PALE = 100; // samples of a pale run that are drawn, however far apart those of the run before it are
+
+/** That run where it is another one than what is shown, and its features are as many; `stride`: samples from one that is drawn to the next, `step` [s]. */
 function ghost() {
   const against = itsReference();
   if (!against || !result.isChanged || against.points !== result.points) return null;
   const [own, other] = [result, against].map(({ samples: { time } }) => time[1] - time[0]);
-  return { ...against, stride: Math.max(1, Math.round(own / other) || 1) }; // two runs that are compared are sampled alike
+  const most = Math.floor(against.rows / FEWEST_PALE);
+  const stride = Math.max(1, Math.min(Math.round(own / other) || 1, most)); // two runs that are compared are drawn alike, where the pale one has the samples
+  return { ...against, stride, step: valueOf(against.state, "simulation.step") };
 }
 
-/** Names what is compared with in what lies pale behind, and on the button that changes it. */
-function nameReference() {
-  const { pinned } = state;
-  for (const note of document.querySelectorAll("small.ghost")) write(note, pinned ? "pale: pinned run" : "pale: the preset");
-  write($("pin"), pinned ? "Compare with the preset" : "Compare with this run");
+/** Offers all of the words where some lines of them are cut, or are there since that was chosen. */
+function cut() {
+  const isCut = ["verdict", "against"].some((name) => $(name).scrollHeight > $(name).clientHeight + 1);
+  $("more").hidden = !isCut && !$("words").classList.contains("whole");
 }
 
 function verdict() {
@@ -231,6 +261,7 @@ function verdict() {
   const against = itsReference();
   const before = against && result.isChanged ? ending(against.state, { ...against, detail: "" })[1] : "";
   write($("against"), before && `${result.state.pinned ? "Pinned run" : "Preset"}: ${before.replace(/^./, (letter) => letter.toLowerCase())}`);
+  requestAnimationFrame(cut); // with the layout of the frame
   image.canvas.setAttribute("aria-label", `Image plane: paths of ${result.points} features to their goals. ${words}. Arrow keys move a goal, digits choose it.`);
   write($("origin"), origin(result.state));
 }
@@ -256,7 +287,7 @@ function table() {
   const reason = against ? incomparable(result, against) : "";
   const differs = against && result.isChanged && !reason;
   const label = pinned ? pinnedLabel(result.state, pinned) : "preset";
-  write($("of-preset"), reason ? `${label}, not comparable: ${reason}` : label);
+  write($("of-preset"), unmet().length ? `${label}, refused` : reason ? `${label}, not comparable: ${reason}` : label);
   for (const { name, unit: known, cells } of rows) {
     const unit = unitOfMetric(result.state, { name, unit: known });
     const [value, before] = [result.metrics[name], against?.metrics[name] ?? NaN];
@@ -271,7 +302,6 @@ function table() {
 
 function compare() {
   reference = null;
-  nameReference();
   const against = referenceOf(state);
   referee?.run(drawn(against), against);
 }
@@ -360,8 +390,11 @@ matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => resu
 matchMedia("print").addEventListener("change", () => result && at(share));
 for (const name of ["focus", "blur"]) $("image").addEventListener(name, () => result && at(share));
 
-new ResizeObserver(([{ target }]) => document.documentElement.style.setProperty("--words", `${target.getBoundingClientRect().height}px`)).observe($("words"));
-$("verdict").addEventListener("click", () => $("words").classList.toggle("whole")); // where a phone cuts it
+new ResizeObserver(([{ target }]) => {
+  document.documentElement.style.setProperty("--words", `${target.getBoundingClientRect().height}px`);
+  cut();
+}).observe($("words"));
+for (const name of ["verdict", "against", "more"]) $(name).addEventListener("click", () => $("more").hidden || $("more").setAttribute("aria-expanded", $("words").classList.toggle("whole")));
 
 // --- out of the page
 
@@ -427,11 +460,7 @@ refresh();
 try {
   [runner, referee] = await Promise.all([
     Runner.make(answer),
-    Runner.make((message, against) => {
-      if (!message.result) return;
-      reference = { ...message.result, state: against };
-      if (result) show();
-    }),
+    Runner.make(compared),
   ]);
   run();
   compare();

@@ -45,6 +45,12 @@ export const presetValue = (preset, key) => (key in presetOf(preset).values ? pr
 
 export const valueOf = (state, key) => (key in state.changes ? state.changes[key] : presetValue(state.preset, key));
 
+/** A value with as many entries as the preset has: of an array one number stands for all of them. */
+export function whole(preset, key, value) {
+  const usual = presetValue(preset, key);
+  return Array.isArray(usual) && value?.length === 1 ? usual.map(() => value[0]) : value;
+}
+
 /** The keys that a law has. */
 export const keysOf = (law) => keys.filter((key) => (lawOfKey(key.key) ?? law) === law);
 

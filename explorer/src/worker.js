@@ -1,7 +1,7 @@
 /**
  * Runs scenarios away from the page. Of two requests for a run the newer one counts: the older one is left where it is.
  *
- * In: {module}; {id, scenario, spare}: a run, and samples to write over; {id, map: {scenario, names, cells: [[index, a, b]...]}}; {id}: stop.
+ * In: {module}; {id, scenario, spare, isDragged}: a run, and samples to write over; {id, map: {scenario, names, cells: [[index, a, b]...]}}; {id}: stop.
  * Out: {ready}; {id, result} or {id, refusal}, {id, progress}; {id, cells: [[index, outcome, metrics, refusal]...]} or {id, refusal}.
  */
 import { Core, Refusal } from "./core.js";
@@ -43,12 +43,17 @@ async function finished(id, scenario, steps) {
   return true;
 }
 
-async function run(id, scenario, spare) {
+/**
+ * Whether a run that ended early is computed again, for samples that were left out: while something is dragged only one so short
+ * that both take no more than a quarter of a whole run, for a longer one has samples enough, and would be late.
+ */
+const isAgain = (every, scenario, steps, isDragged) => (isDragged ? every < scenario[LOGGING] && 8 * core.taken <= steps : 2 * every <= scenario[LOGGING]);
+
+async function run(id, { scenario, spare, isDragged }) {
   const steps = scenario["simulation.duration"] / scenario["simulation.step"];
   if (!(await finished(id, scenario, steps))) return;
   const every = Math.ceil((scenario[LOGGING] * core.taken) / steps); // that gives a run of the steps that were taken as many samples
-  const isShort = 2 * every <= scenario[LOGGING]; // it ended early: again, for the samples that are left out there
-  if (isShort && !(await finished(id, { ...scenario, [LOGGING]: Math.max(1, every) }, core.taken))) return;
+  if (isAgain(every, scenario, steps, isDragged) && !(await finished(id, { ...scenario, [LOGGING]: Math.max(1, every) }, core.taken))) return;
   const result = core.result(spare);
   core.end();
   postMessage(
@@ -94,7 +99,7 @@ onmessage = async ({ data }) => {
   }
   newest = data.id;
   try {
-    if (data.scenario) await run(data.id, data.scenario, data.spare);
+    if (data.scenario) await run(data.id, data);
     else if (data.map) await map(data.id, data.map);
   } catch (error) {
     if (!(error instanceof Refusal)) core.start(); // what failed has left this one in no state to go on from

@@ -193,22 +193,55 @@ def test_samples_of_a_run_at_rest_are_as_many_as_it_needs(visit: Visit) -> None:
     spacing = "explorer.result.samples.time[1] - explorer.result.samples.time[0]"
     visit.go("#paper&simulation.duration=20")
     assert page.evaluate(spacing) == pytest.approx(0.002)
-    caption = page.locator("figure:has(#chart-0) figcaption")
+    height = "document.querySelector('.charts').getBoundingClientRect().height"
+    before = page.evaluate(height)
     for event, expected, words in (("input", 0.025, "samples 0.025 s apart"), ("change", 0.002, "")):
-        page.evaluate(
-            """event => {
-              explorer.shown = null;
-              const slider = document.querySelector('[data-id="uncertainty.depth"]');
-              slider.value = 510;
-              slider.dispatchEvent(new Event(event));
-            }""",
-            event,
-        )
-        page.wait_for_function("explorer.shown !== null")
+        slide(page, "uncertainty.depth", event)
         assert page.evaluate(spacing) == pytest.approx(expected)
         apart = page.evaluate("explorer.result.ghost.stride * explorer.result.ghost.samples.time[1]")
         assert apart == pytest.approx(expected), "what is pale is drawn as coarse"
-        assert caption.locator("small").last.inner_text() == words
+        assert page.locator("#chart-0 .spacing").inner_text() == words
+        assert page.evaluate(height) == before, "charts stay where they are"
+
+
+@in_browser
+def test_of_a_long_pale_run_the_distance_of_samples_is_told(visit: Visit) -> None:
+    """Where it is wider than that of the run before it, which has every step."""
+    visit.go("#paper&pinned=paper%26simulation.duration%3D600")
+    visit.page.wait_for_function("explorer.result.ghost")
+    assert visit.page.evaluate("explorer.result.samples.time[1]") == pytest.approx(0.001)
+    notes = visit.page.locator(".chart .spacing").all_inner_texts()
+    assert notes == ["pale samples 0.06 s apart", "", ""]
+
+
+def slide(page: Page, name: str, event: str) -> None:
+    """Move a slider a little, as a drag does (event "input") or its end ("change")."""
+    page.evaluate(
+        """([name, event]) => {
+          explorer.shown = null;
+          const slider = document.querySelector(`[data-id="${name}"]`);
+          slider.value = 510;
+          slider.dispatchEvent(new Event(event));
+        }""",
+        [name, event],
+    )
+    page.wait_for_function("explorer.shown !== null")
+
+
+@in_browser
+@pytest.mark.parametrize(
+    ("address", "in_a_drag"),
+    [("#paper&uncertainty.gravity=0.2&simulation.duration=20", 0.025), ("#fails-wrong-sign", 0.001)],
+)
+def test_a_drag_computes_only_a_short_run_twice(visit: Visit, address: str, in_a_drag: float) -> None:
+    """For the samples of one that ends early: twice the time of a longer one is seen. At rest every step is there."""
+    page = visit.page
+    visit.go(address)
+    for event, expected in (("input", in_a_drag), ("change", 0.001)):
+        slide(page, "uncertainty.inertia", event)
+        times = page.evaluate("[...explorer.result.samples.time.slice(0, 2), explorer.result.time]")
+        assert page.evaluate("explorer.result.outcome") != "completed"
+        assert times[1] - times[0] == pytest.approx(expected), times
 
 
 @in_browser
@@ -377,6 +410,60 @@ def test_a_run_that_is_pinned_takes_the_place_of_the_presets(visit: Visit) -> No
     page.wait_for_function("explorer.reference && !explorer.state.pinned && explorer.result.ghost")
     assert (heading.inner_text(), words.inner_text()[:8]) == ("preset", "Preset: ")
     assert page.evaluate("explorer.reference.state.changes") == {}
+
+
+@in_browser
+def test_a_preset_that_is_pinned_as_it_is_is_called_the_pinned_run(visit: Visit) -> None:
+    """Its run is the reference already: only the words change."""
+    page = visit.page
+    visit.go("#paper")
+    page.click("#pin")
+    page.wait_for_function("explorer.shown.includes('pinned=')")
+    assert page.locator("#pin").inner_text() == "Compare with the preset"
+    visit.go("#task-tilt&pinned=paper")
+    page.wait_for_function("explorer.result.ghost")
+    assert page.locator(".ghost:visible").all_inner_texts() == ["pale: pinned run"] * 2
+    page.click("#pin")
+    page.wait_for_function("explorer.shown === '#task-tilt'")
+    assert page.locator("#pin").inner_text() == "Compare with this run"
+
+
+@in_browser
+def test_one_number_for_all_entries_of_an_array_makes_no_other_run(visit: Visit) -> None:
+    page = visit.page
+    visit.go("#paper&uncertainty.gravity=0.02&pinned=paper%26uncertainty.gravity%3D0.02,0.02,0.02,0.02,0.02,0.02")
+    page.wait_for_function("explorer.reference")
+    assert page.locator("#of-preset").inner_text() == "pinned: the same"
+    assert page.evaluate("explorer.result.ghost") is None
+
+
+@in_browser
+def test_a_pinned_run_that_is_refused_is_named(visit: Visit) -> None:
+    page = visit.page
+    assert visit.go("#paper&pinned=paper%26controller.hybrid.kp%3D-1")["refusal"] is None
+    message = page.locator("#message")
+    message.wait_for()
+    assert message.inner_text().startswith("pinned run: controller.hybrid.kp[0]: expected ")
+    assert page.locator("#of-preset").inner_text() == "pinned: controller.hybrid.kp = -1, refused"
+    page.click("#pin")
+    page.wait_for_function("explorer.shown === '#paper'")
+    message.wait_for(state="hidden")
+    assert page.locator("#of-preset").inner_text() == "preset"
+
+
+@in_browser
+def test_the_last_good_run_can_be_pinned_beside_a_refused_state(visit: Visit) -> None:
+    page = visit.page
+    visit.go("#paper&uncertainty.gravity=0.02")
+    peaks = page.locator("#metrics tr:has(summary:text-is('peak error')) td")
+    assert visit.go("#paper&metrics.band=-1")["refusal"] is not None
+    page.click("#pin")
+    page.wait_for_function("explorer.shown.includes('pinned=')")
+    page.wait_for_function("explorer.reference?.state.changes['uncertainty.gravity']")
+    assert page.locator("#of-preset").inner_text() == "pinned: the same"
+    now, before = peaks.all_inner_texts()
+    assert now == before != ""
+    assert page.locator("#message").inner_text().startswith("metrics.band: expected ")
 
 
 # --- scenarios in and out
@@ -647,11 +734,16 @@ def test_a_run_that_ends_early_tells_the_limits_that_it_passed(visit: Visit) -> 
     kinds = sorted(first, key=lambda kind: first[kind].time)
     assert [float(item.split()[0]) for item in told[:-1]] == pytest.approx([first[kind].time for kind in kinds])
     assert f"stroke of leg {first['stroke'].leg}, and " in told[kinds.index("stroke")]
-    assert told[-1].endswith("diverged")
+    assert told[-1] == "0.041 s diverged"
     items.nth(kinds.index("stroke")).click()
     assert float(page.locator("#now").inner_text().split()[0]) == pytest.approx(first["stroke"].time, abs=0.0011)
     visit.go("#paper")
     assert items.all_inner_texts() == ["0.353 s settles", "5 s end"]
+    for name in ("fails-wrong-sign", "fails-leg-limits", "fails-coarse-step"):
+        visit.go(f"#{name}")
+        time = re.search(r" at t = ([\d.]+) s", page.locator("#verdict").inner_text())
+        assert time is not None, name
+        assert items.last.inner_text().startswith(f"{time[1]} s "), "as in the sentence"
 
 
 # Colours [r, g, b, a] at places of a canvas: of a chart (time [s], value [unit of the chart]), or of the image [px].
@@ -816,6 +908,20 @@ def test_behind_a_run_that_is_changed_is_that_of_the_preset(visit: Visit, scheme
     assert page.evaluate("[explorer.reference.points, explorer.result.points, explorer.result.ghost]") == [5, 4, None]
 
 
+@in_browser
+def test_a_pale_run_is_drawn_to_its_end(visit: Visit) -> None:
+    """One of fewer samples than there are between two of the run before it."""
+    page = visit.page
+    pinned = "paper%26simulation.start.pose%3D0.003,0.003,0,0,0,0%26simulation.duration%3D0.05"
+    visit.go(f"#paper&simulation.duration=600&pinned={pinned}")
+    page.wait_for_function("explorer.result.ghost")
+    _, _, paths = features(page, "reference")
+    _, _, now = features(page, "result")
+    far = np.abs(now[:, None, :2] - paths[None, :, :2]).max(axis=2).min(axis=0) > 1.0
+    assert far.sum() > 10
+    assert pale_share(page, image_colours(page, [(float(x), float(y)) for x, y in paths[far, :2]])) > 0.5
+
+
 DISCS = """colours => colours.map(colour => {
   const fill = getComputedStyle(document.documentElement).getPropertyValue(`--${colour}`).trim();
   const disc = document.querySelector(`#scene circle[fill="${fill}"]`);
@@ -834,6 +940,7 @@ def test_the_border_of_the_image_is_drawn_and_what_is_outside_is_told(visit: Vis
     visit.go("#fails-lost-features")
     assert page.evaluate(pyramids) > 0
     assert page.evaluate("explorer.result.border") == [-68, 68, -68, 68]
+    assert page.locator("#border").is_visible()
     on, beside = image_colours(page, [(68, 5), (66, 5)])
     assert on[:3] == pytest.approx(rgb(page, "good"), abs=10)
     assert beside[:3] != pytest.approx(rgb(page, "good"), abs=10)
@@ -862,6 +969,8 @@ def test_the_border_of_the_image_is_drawn_and_what_is_outside_is_told(visit: Vis
             [np.polyval(np.polyfit(pixels[:, k], seen[:, k], 1), edges[:, k]) for k in (0, 1)]
         )
         assert page.evaluate("explorer.result.border") == pytest.approx([left, right, low, high], rel=1e-6), name
+    visit.go("#eye-to-hand")
+    assert page.locator("#border").is_hidden(), "its note is there where a side of it is in the picture"
     visit.go("#real-machine&camera.distortion.brown_conrady=-0.1,0,0,0,0")
     assert page.evaluate("explorer.result.border") is None, "a lens bends it"
 
@@ -1669,6 +1778,51 @@ def test_the_outcome_stays_in_view_and_covers_no_control(browser: Browser, file:
     assert box is not None
     on_top = "([x, y]) => document.elementFromPoint(x, y).dataset.id"
     assert page.evaluate(on_top, [box["x"] + 5, box["y"] + 8]) == "uncertainty.depth"
+    assert visit.problems == []
+    visit.context.close()
+
+
+@in_browser
+@pytest.mark.parametrize(("width", "height", "is_cut"), [(1280, 720, False), (390, 844, True), (844, 390, True)])
+def test_the_outcome_and_that_of_a_pinned_run_have_three_lines_and_all_where_one_asks(
+    browser: Browser, file: Path, width: int, height: int, is_cut: bool
+) -> None:
+    pinned = "paper%26uncertainty.gravity%3D0.3%26simulation.duration%3D20"
+    address = f"#paper&uncertainty.gravity=0.2&simulation.duration=20&pinned={pinned}"
+    visit = Visit(browser, file, address, viewport={"width": width, "height": height})
+    page = visit.page
+    page.wait_for_function("explorer.result.ghost")
+    page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    tall = "document.querySelector('.words').getBoundingClientRect().height"
+    against, more = page.locator("#against"), page.locator("#more")
+    assert against.is_visible()
+    assert page.evaluate(tall) <= 82
+    assert more.is_visible() == is_cut
+    if is_cut:
+        whole = "part => part.scrollHeight <= part.clientHeight + 1"
+        assert not against.evaluate(whole)
+        for is_open in (True, False):
+            more.press("Enter")
+            assert more.get_attribute("aria-expanded") == str(is_open).lower()
+            assert against.evaluate(whole) == is_open
+    assert visit.problems == []
+    visit.context.close()
+
+
+@in_browser
+@pytest.mark.parametrize("width", [390, 801, 844])
+def test_captions_of_the_views_fit_into_their_cards(browser: Browser, file: Path, width: int) -> None:
+    """Of an image with a border, before another run."""
+    visit = Visit(
+        browser, file, "#fails-lost-features&uncertainty.gravity=0.05", viewport={"width": width, "height": 900}
+    )
+    page = visit.page
+    page.wait_for_function("explorer.result.ghost")
+    assert page.locator("figure:has(#image) .ghost").is_visible()
+    sizes = "all => all.map(e => [e.scrollWidth - e.clientWidth, e.clientHeight])"
+    for over, tall in page.locator(".views figcaption").evaluate_all(sizes):
+        assert over <= 0
+        assert tall <= 66
     assert visit.problems == []
     visit.context.close()
 
