@@ -5,6 +5,8 @@
 #include "hexservo/settings.hpp"
 #include "kernel.hpp"
 
+#include <algorithm>
+#include <new>
 #include <stdexcept>
 #include <string>
 

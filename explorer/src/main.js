@@ -123,7 +123,7 @@ function answer(message, tag) {
   globalThis.explorer.refusal = null;
   document.body.classList.remove("stale");
   const before = result;
-  result = { ...message.result, state: tag.state };
+  result = arrived(message.result, tag.state);
   show();
   say(...ignored, ...unmet());
   if (before) runner.reuse(before);
@@ -131,12 +131,18 @@ function answer(message, tag) {
   globalThis.explorer.shown = toAddress(tag.state);
 }
 
+/** A run of a state, with the border of its image and the first point outside of that: a search of all samples, once for each run. */
+function arrived(run, of) {
+  const border = borderOf(of);
+  return { ...run, state: of, border, outside: firstOutside({ ...run, border }) };
+}
+
 const reasonOf = ({ refusal, known }) => (known ? refusal : `The core failed: ${refusal}`);
 
 /** What came of the run that a state is compared with. */
 function compared(message, against) {
   if (message.progress !== undefined) return;
-  reference = message.refusal ? { refusal: reasonOf(message), state: against } : { ...message.result, state: against };
+  reference = message.refusal ? { refusal: reasonOf(message), state: against } : arrived(message.result, against);
   if (!result) return;
   show();
   if (globalThis.explorer.refusal === null) say(...ignored, ...unmet());
@@ -166,7 +172,6 @@ function show() {
   result.cranks = cranks(of);
   result.stroke = valueOf(of, "robot.stroke");
   result.middle = middles(of, result);
-  result.border = borderOf(of);
   write($("border"), result.border ? "green: border" : "");
   result.bounds = bounds(of, result.middle);
   result.band = valueOf(of, "metrics.band");
@@ -178,7 +183,7 @@ function show() {
   image.show({ ...result, goals: result.scene.goal, movable: pixelsAreFeatures(of) });
   scene.show(result, down.map((g) => -g));
   for (const chart of charts) chart.show(result);
-  happened.show(happenings(of, result, firstOutside(result)));
+  happened.show(happenings(of, result, result.outside));
   at(share);
   verdict();
   table();
@@ -221,8 +226,7 @@ function at(next) {
 
 /** How a run of a state went: good, bad or warn, and a sentence, at whose end is what it does beyond the limits of the legs. */
 function ending(of, run) {
-  const { outcome, metrics: values, time, detail } = run;
-  const outside = firstOutside({ ...run, border: borderOf(of) });
+  const { outcome, metrics: values, time, detail, outside } = run;
   const beyond = [...(outside ? [inWords(outside)] : []), ...passedLimits(of, run)].join(", ");
   if (outcome !== "completed") return ["bad", `Ends early, ${outcome.replaceAll("_", " ")}${detail ? `: ${detail}` : ""}${beyond && `; before that ${beyond}`}`];
   const band = withUnit(valueOf(of, "metrics.band"), "px");
