@@ -112,6 +112,8 @@ export class ParameterMap {
     if (state.preset !== this.base.preset) return true;
     const varied = this.axes.map(({ key }) => key);
     const [cell, other] = [this.base, state].map((of) => this.at(of, 0, 0)); // what else such a key has stays
+    const isOffAxis = ({ key, get, set }) => !alike(valueOf(set(state, get(state)), key), valueOf(state, key));
+    if (this.axes.some(isOffAxis)) return true; // its entries differ in another way than those of a cell
     const keys = [cell, other].flatMap(actingChanges).map(([key]) => key);
     return keys.some((key) => !(varied.includes(key) ? alike : same)(valueOf(cell, key), valueOf(other, key)));
   }
