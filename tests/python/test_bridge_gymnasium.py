@@ -222,15 +222,21 @@ def test_a_machine_that_takes_positions_is_refused_at_once() -> None:
         hs.bridges.gymnasium(hs.load_scenario("pi-h824-positions"), 2)
 
 
-def test_twists_are_followed(scenario: hs.Scenario) -> None:
-    """A tenth of the difference is taken away in a tick: after 50 ticks 0.9^50 of it, 5e-3, is left."""
+@pytest.mark.parametrize("centre_of_mass", [[0.0, 0.0, 0.0], [0.05, 0.0, -0.3]])
+def test_twists_are_followed_wherever_the_centre_of_mass_is(centre_of_mass: list[float]) -> None:
+    """A tenth of the difference is taken away in a tick, along each axis: after k ticks 0.9^k of it is left."""
+    inertia = [[0.47, 0.0, 0.075], [0.0, 0.49, 0.0], [0.075, 0.0, 0.04]]  # about the platform's origin
+    machine = {"robot.mass": 5.0, "robot.centre_of_mass": centre_of_mass, "robot.inertia": inertia}
+    sensors = {"sensors.pose": True, "camera.noise": 0.0, "camera.dropout": 0.0, "actuators.saturation": False}
+    scenario = hs.load_scenario("pi-h824", {**machine, **sensors, "simulation.duration": 0.2})
     env = hs.bridges.gymnasium(scenario, 1, action="twist")
-    env.reset(seed=0)
-    wanted = np.array([[0.2, -0.1, 0.1, 0.05, 0.1, -0.1]], np.float32)
-    for _ in range(50):
-        observed, *_ = env.step(wanted)
-    # what couples the axes of rotation is of second order in the rates
-    np.testing.assert_allclose(observed[0, -6:] / env.action_scale, wanted[0], rtol=0, atol=0.01 * 0.2 + 5e-3 * 0.2)
+    # with rotation, what the motion within a tick changes of inertia and Coriolis terms: 1.2e-4 rad/s, of second order
+    for wanted, off in (([0.2, -0.1, 0.1, 0.0, 0.0, 0.0], 1e-9), ([0.2, -0.1, 0.1, 0.05, 0.1, -0.1], 2e-4)):
+        env.reset(seed=0)
+        for ticks in range(1, 41):
+            observed, *_ = env.step([wanted])
+            followed = np.array(wanted) * env.action_scale * (1.0 - 0.9**ticks)
+            np.testing.assert_allclose(observed[0, -6:], followed, rtol=0, atol=off)
 
 
 def test_statistics_of_gymnasium_wrap_it(scenario: hs.Scenario) -> None:

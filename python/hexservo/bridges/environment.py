@@ -65,7 +65,7 @@ class HexapodVectorEnv(_vector.VectorEnv):  # type: ignore[misc]
         if scene.has_points:
             error = self._desired - _rectified(self._settings, scene.camera.pixels(_points(scene.image(scene.home)[0])))
         self._error_unit = float(np.sqrt(np.mean(error**2))) or 1.0
-        self._stiffness = _damping(scene, self._tick) if action == "twist" else None
+        self._servo = scene.probe if action == "twist" else None
         if action_scale is None:
             action_scale = _TWIST_SCALE if action == "twist" else _wrench_scale(scene)
         self.action_scale = _six("action_scale", action_scale)
@@ -140,8 +140,8 @@ class HexapodVectorEnv(_vector.VectorEnv):  # type: ignore[misc]
         if np.isnan(given).any():
             raise ValueError("actions: expected numbers, got NaN")
         wanted = np.clip(given, -1.0, 1.0) * self.action_scale
-        if self._stiffness is not None:
-            wanted = self._stiffness * (wanted - self._states["twist"])
+        if self._servo is not None:
+            wanted = _following(self._servo, wanted, self._states, self._tick)
         before = self._over
         error = np.sqrt(np.mean((self._desired - self._seen) ** 2, axis=1)) / self._error_unit
         self._runs.command(wanted)
@@ -274,8 +274,9 @@ def gymnasium(
         Number of environments of a vector environment, which run on one thread; None: a single environment.
     action
         Six numbers from -1 to 1, times `action_scale`; larger ones are clipped. "wrench": what acts beyond the
-        estimated weight [N; N m], in B. "twist": a velocity in B [m/s; rad/s] for a servo that takes away a tenth of
-        the difference from the measured twist in a tick.
+        estimated weight [N; N m], in B. "twist": a velocity in B [m/s; rad/s] for a servo that, with the estimated
+        inertia and Coriolis terms at the measured pose, takes away a tenth of the difference from the measured twist
+        in a tick.
     action_scale
         (6,) or one number. None: the largest wrench of the legs at home, along each axis, or 0.1 m/s and 0.5 rad/s.
     start_spread
@@ -360,6 +361,11 @@ def _wrench_scale(scene: Scene) -> Array:
     return np.asarray(np.abs(scene.hexapod.wrench_map(scene.home.position, scene.home.quaternion)).sum(axis=1) * force)
 
 
-def _damping(scene: Scene, tick: float) -> Array:
-    """Return the wrench per twist error of the velocity servo, (6,) [N s/m; N m s/rad]."""
-    return np.asarray(np.diag(scene.probe.inertia(scene.home.quaternion[None])[0]) * _SHARE / tick)
+def _following(probe: _core.Probe, wanted: Array, states: dict[str, NDArray[Any]], tick: float) -> Array:
+    """Return the wrenches (n, 6) [N; N m] of the velocity servo, beyond the weight: the estimate's at the states.
+
+    All of the inertia, since a centre of mass off the origin couples force and rotation.
+    """
+    acceleration = (wanted - states["twist"]) * (_SHARE / tick)
+    inertial, coriolis, _ = probe.estimated_wrenches(states["quaternion"], states["twist"], acceleration)
+    return np.asarray(inertial + coriolis)
