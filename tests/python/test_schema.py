@@ -136,7 +136,7 @@ def test_every_key_of_a_scenario_is_listed() -> None:
 @pytest.mark.parametrize("key", [key for key, entry in ALL.items() if entry["type"] == "choice"])
 def test_a_file_takes_the_choices_and_the_default_that_are_listed(key: str) -> None:
     field, entry = FIELDS[key][0], ALL[key]
-    taken = TypeAdapter(Annotated[(field.annotation, *field.metadata)])  # type: ignore[misc]
+    taken: TypeAdapter[Any] = TypeAdapter(Annotated[(field.annotation, *field.metadata)])  # type: ignore[arg-type]
     listed = entry["choices"] if entry["default"] is None else [*entry["choices"], entry["default"]]
     assert [taken.validate_python(choice) for choice in listed] == listed
 
