@@ -96,6 +96,16 @@ def test_the_error_at_the_goal_is_zero_whatever_the_controller_assumes(wrong: di
     assert rewards[0] == pytest.approx(-scenario.simulation.step, rel=1e-9)  # e is e_0 at home
 
 
+def test_the_unit_of_the_error_is_a_pixel_where_the_goal_is_home(scenario: hs.Scenario) -> None:
+    """Features that are given are reached to rounding alone, which is no unit."""
+    away = {"target.desired_features": scenario.target.initial_features, "simulation.start.pose": [1e-3] + [0.0] * 5}
+    env = hs.bridges.gymnasium(scenario.updated(away), 1)
+    observed, _ = env.reset(seed=0)
+    _, rewards, *_ = env.step(np.zeros((1, 6), np.float32))
+    error = np.sqrt(np.mean(observed[0, :8] ** 2))
+    assert rewards[0] == pytest.approx(-scenario.simulation.step * error, rel=1e-12)
+
+
 @pytest.mark.parametrize("action", ["wrench", "twist"])
 def test_the_checker_of_gymnasium_passes(scenario: hs.Scenario, action: Any) -> None:
     from gymnasium.utils.env_checker import check_env

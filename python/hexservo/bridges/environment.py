@@ -25,6 +25,7 @@ else:
 _FAILURE = 10.0  # cost of a second that a failed run is short of its duration, in those of a second with error e_0
 _DRAWS = 100  # of an episode's start, until one is such that the target is seen
 _SHARE = 0.1  # of a twist error that the velocity servo takes away in a tick
+_LEAST_ERROR = 1e-6  # [px] between images of home and goal that differ by more than rounding
 _TWIST_SCALE = np.repeat([0.1, 0.5], 3)  # [m/s; rad/s]
 _MODES = {"next_step": "NEXT_STEP", "same_step": "SAME_STEP", "disabled": "DISABLED"}
 
@@ -64,7 +65,8 @@ class HexapodVectorEnv(_vector.VectorEnv):  # type: ignore[misc]
         error = np.ones(1)
         if scene.has_points:
             error = self._desired - _rectified(self._settings, scene.camera.pixels(_points(scene.image(scene.home)[0])))
-        self._error_unit = float(np.sqrt(np.mean(error**2))) or 1.0
+        at_home = float(np.sqrt(np.mean(error**2)))
+        self._error_unit = at_home if at_home > _LEAST_ERROR else 1.0
         self._servo = scene.probe if action == "twist" else None
         if action_scale is None:
             action_scale = _TWIST_SCALE if action == "twist" else _wrench_scale(scene)
@@ -293,8 +295,8 @@ def gymnasium(
         Observation, as the controller's sensors give it: desired minus seen features (8,) [px], the newest that are
         usable, both rectified with the camera that the controller assumes; position (3,) in B [m]; quaternion (4,)
         with w >= 0; twist (6,) in B [m/s; rad/s]. Reward: ``-T_c e/e_0`` with the servo period, the RMS of the seen
-        feature error at the action and that at home; an episode that fails costs 10 for each second that is left.
-        Infos: ``time`` [s].
+        feature error at the action and that at home (1 px where the goal is the image from home, or the camera is
+        as_printed); an episode that fails costs 10 for each second that is left. Infos: ``time`` [s].
 
     Raises
     ------
