@@ -413,7 +413,9 @@ def test_the_parameters_of_a_controller_are_those_of_its_header(make: Any, name:
     header = {member if place == "s" else f"controller.{scenario.controller.law}.{member}" for place, member in members}
     found = parameters(make(scenario, 2, "controller"))
     assert found - header == {"target.weights"}  # of 1 each, the header's default
-    missing = header - found - {"simulation.mode", "robot.legs"}
+    deciding = {"simulation.mode", "robot.legs", "actuators.kind", "camera.latency_known"}  # which variables there are
+    assert not found & deciding
+    missing = header - found - deciding
     assert all(value_at(scenario, key) is None for key in missing), missing
     assert not found & {"camera.noise", "uncertainty.gravity", "base_motion.kind", "simulation.duration", "seed"}
 

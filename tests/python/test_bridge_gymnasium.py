@@ -96,6 +96,16 @@ def test_the_error_at_the_goal_is_zero_whatever_the_controller_assumes(wrong: di
     assert rewards[0] == pytest.approx(-scenario.simulation.step, rel=1e-9)  # e is e_0 at home
 
 
+def test_the_unit_of_the_error_is_a_pixel_where_the_goal_is_home(scenario: hs.Scenario) -> None:
+    """Features that are given are reached to rounding alone, which is no unit."""
+    away = {"target.desired_features": scenario.target.initial_features, "simulation.start.pose": [1e-3] + [0.0] * 5}
+    env = hs.bridges.gymnasium(scenario.updated(away), 1)
+    observed, _ = env.reset(seed=0)
+    _, rewards, *_ = env.step(np.zeros((1, 6), np.float32))
+    error = np.sqrt(np.mean(observed[0, :8] ** 2))
+    assert rewards[0] == pytest.approx(-scenario.simulation.step * error, rel=1e-12)
+
+
 @pytest.mark.parametrize("action", ["wrench", "twist"])
 def test_the_checker_of_gymnasium_passes(scenario: hs.Scenario, action: Any) -> None:
     from gymnasium.utils.env_checker import check_env
@@ -222,15 +232,21 @@ def test_a_machine_that_takes_positions_is_refused_at_once() -> None:
         hs.bridges.gymnasium(hs.load_scenario("pi-h824-positions"), 2)
 
 
-def test_twists_are_followed(scenario: hs.Scenario) -> None:
-    """A tenth of the difference is taken away in a tick: after 50 ticks 0.9^50 of it, 5e-3, is left."""
+@pytest.mark.parametrize("centre_of_mass", [[0.0, 0.0, 0.0], [0.05, 0.0, -0.3]])
+def test_twists_are_followed_wherever_the_centre_of_mass_is(centre_of_mass: list[float]) -> None:
+    """A tenth of the difference is taken away in a tick, along each axis: after k ticks 0.9^k of it is left."""
+    inertia = [[0.47, 0.0, 0.075], [0.0, 0.49, 0.0], [0.075, 0.0, 0.04]]  # about the platform's origin
+    machine = {"robot.mass": 5.0, "robot.centre_of_mass": centre_of_mass, "robot.inertia": inertia}
+    sensors = {"sensors.pose": True, "camera.noise": 0.0, "camera.dropout": 0.0, "actuators.saturation": False}
+    scenario = hs.load_scenario("pi-h824", {**machine, **sensors, "simulation.duration": 0.2})
     env = hs.bridges.gymnasium(scenario, 1, action="twist")
-    env.reset(seed=0)
-    wanted = np.array([[0.2, -0.1, 0.1, 0.05, 0.1, -0.1]], np.float32)
-    for _ in range(50):
-        observed, *_ = env.step(wanted)
-    # what couples the axes of rotation is of second order in the rates
-    np.testing.assert_allclose(observed[0, -6:] / env.action_scale, wanted[0], rtol=0, atol=0.01 * 0.2 + 5e-3 * 0.2)
+    # with rotation, what the motion within a tick changes of inertia and Coriolis terms: 1.2e-4 rad/s, of second order
+    for wanted, off in (([0.2, -0.1, 0.1, 0.0, 0.0, 0.0], 1e-9), ([0.2, -0.1, 0.1, 0.05, 0.1, -0.1], 2e-4)):
+        env.reset(seed=0)
+        for ticks in range(1, 41):
+            observed, *_ = env.step([wanted])
+            followed = np.array(wanted) * env.action_scale * (1.0 - 0.9**ticks)
+            np.testing.assert_allclose(observed[0, -6:], followed, rtol=0, atol=off)
 
 
 def test_statistics_of_gymnasium_wrap_it(scenario: hs.Scenario) -> None:

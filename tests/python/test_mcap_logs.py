@@ -101,6 +101,22 @@ def test_frames_before_and_after_the_ticks_are_left_out(tmp_path: Path) -> None:
     assert (TICKS - 1) * PERIOD - 1 / 30 < arrival[-1] <= TICKS * PERIOD
 
 
+@pytest.mark.parametrize("before", [0.3, 2.0])
+def test_frames_and_readings_before_the_first_command_are_left_out(tmp_path: Path, before: float) -> None:
+    """Of a program that reads the joints twice at its start, and of a camera that runs before it."""
+    log = a_log()
+    early: list[Message] = [
+        ("/joints", nanoseconds(-before - time), {"positions": log.joints[0].tolist()}) for time in (0.0, 0.013)
+    ]
+    frames = [(topic, time - round(before * 1e9), content) for topic, time, content in frames_of(90, stamped=False)]
+    found = hs.read_log(written(tmp_path / "log.mcap", [*early, *ticks_of(log), *frames]))
+    # the last reading before the first command is the tick of it
+    np.testing.assert_array_equal(found.joints, log.joints)
+    assert found.period == pytest.approx(PERIOD, rel=1e-9)
+    assert found.frames is not None
+    assert found.time[0] - PERIOD <= found.frames.arrival[0] < found.time[0] + 1 / 30
+
+
 def test_a_command_holds_until_the_next_one(tmp_path: Path) -> None:
     """Commands that come seldom, and a machine that is read before the first one."""
     log = a_log()
@@ -207,7 +223,7 @@ def test_other_files_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     refused([*ticks, ("/features", START, {"features": [1.0] * 34})], "1 to 16 points")
     refused([*ticks, ("/features", START, {"features": [1.0]})], "1 to 16 points")
     early = [(topic, time - 10**11, content) for topic, time, content in frames]
-    refused([*ticks, *early], "/features: expected messages during the record of /joints, got 5 before or after it")
+    refused([*ticks, *early], "/features: expected messages between the first of /commands .*, got 5 before or after")
     monkeypatch.setattr("hexservo.findings.identification.log.MAX_ROWS", 59)
     refused(ticks, "expected at most 59 messages")
     monkeypatch.setattr("hexservo.findings.identification.log.MAX_ROWS", 60)

@@ -19,9 +19,11 @@ from typer.testing import CliRunner
 
 import hexservo as hs
 from hexservo import _core
-from hexservo.bridges.mujoco_model import mjcf
+from hexservo.bridges.mujoco_model import LEFT_OUT, mjcf, not_in_model
 from hexservo.cli.commands import app
+from hexservo.scenario.keys import keys_below
 from hexservo.scenario.parameters import core_parameters
+from hexservo.scenario.schema import schema
 
 Array = NDArray[np.float64]
 
@@ -296,6 +298,39 @@ def test_refusals() -> None:
     printed = hs.load_scenario("paper-nominal").updated({"camera.convention": "as_printed"})
     with pytest.raises(ValueError, match="expected eye_in_hand for MJCF, got as_printed"):
         mjcf(printed)
+
+
+def test_the_command_names_what_the_model_leaves_out(tmp_path: Path) -> None:
+    left_out = {
+        "actuators.bandwidth": 30.0,
+        "actuators.delay": 0.002,
+        "actuators.quantisation": 1e-4,
+        "target.motion.kind": "velocity",
+        "target.motion.velocity": [0.01, 0.0, 0.0],
+        "uncertainty.gravity": 0.1,
+        "base_motion.kind": "noise",
+        "camera.noise": 0.1,
+        "sensors.pose": "encoders",
+    }
+    plain = hs.load_scenario("paper-nominal").updated({"simulation.mode": "sampled"})
+    scenario = plain.updated(left_out)
+    assert mjcf(scenario) == mjcf(plain)
+    assert set(not_in_model(scenario)) == set(left_out)
+    assert not_in_model(plain) == []
+    lens = {"camera.distortion.kannala_brandt": [0.1, 0.0, 0.0, 0.0]}  # moves the points that features give
+    assert not_in_model(plain.updated(lens)) == list(lens)
+    file = tmp_path / "mine.yaml"
+    file.write_text(plain.updated({"actuators.delay": 0.002, "camera.noise": 0.1}).to_yaml(), encoding="utf-8")
+    result = CliRunner().invoke(app, ["export", str(file), "--mjcf", str(tmp_path / "mine.xml")])
+    assert result.stdout.splitlines()[1:] == ["Note: not in the model: camera.noise, actuators.delay."]
+
+
+def test_every_key_of_the_plant_is_in_the_model_or_left_out() -> None:
+    of_plant = {entry["key"] for entry in schema() if entry["concern"] == "plant"}
+    written = {f"actuators.motor.{key}" for key in ("kp", "kv", "damping", "friction", "armature")}
+    of_control_program = {"actuators.hold"}
+    left_out = {key for name in LEFT_OUT for key in keys_below(name)}
+    assert of_plant - left_out == {*written, *of_control_program, "camera.image_size"}
 
 
 def test_the_command_writes_the_model(tmp_path: Path) -> None:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pytest
+from pydantic import TypeAdapter
 from pydantic.fields import FieldInfo
 from typer.testing import CliRunner
 
@@ -125,9 +126,19 @@ def test_every_key_of_a_scenario_is_listed() -> None:
 
     assert set(ALL) == paths(hs.load_scenario("paper").to_mapping())
     assert {key: entry["type"] for key, entry in ALL.items() if key not in ENTRIES} == OF_PYTHON
-    assert {key: {**entry, "meaning": ALL[key]["meaning"]} for key, entry in ENTRIES.items()} == {
-        key: entry for key, entry in ALL.items() if key in ENTRIES
-    }
+    of_file = {"choices", "default"}  # of choices these are as a file has them, the rest is the core's
+    for key, entry in ENTRIES.items():
+        kept = set(entry) - of_file if entry["type"] == "choice" else set(entry)
+        assert set(ALL[key]) == {*entry, "meaning"}
+        assert {name: ALL[key][name] for name in kept} == {name: entry[name] for name in kept}
+
+
+@pytest.mark.parametrize("key", [key for key, entry in ALL.items() if entry["type"] == "choice"])
+def test_a_file_takes_the_choices_and_the_default_that_are_listed(key: str) -> None:
+    field, entry = FIELDS[key][0], ALL[key]
+    taken: TypeAdapter[Any] = TypeAdapter(Annotated[(field.annotation, *field.metadata)])  # type: ignore[arg-type]
+    listed = entry["choices"] if entry["default"] is None else [*entry["choices"], entry["default"]]
+    assert [taken.validate_python(choice) for choice in listed] == listed
 
 
 @pytest.mark.parametrize("key", ALL)
@@ -164,6 +175,7 @@ def test_the_command_prints_the_bounds() -> None:
     result = CliRunner().invoke(app, ["schema"])
     assert result.exit_code == 0
     assert re.search(r"^camera\.dropout +number >= 0 and <= 1 +1 +0\.0 *$", result.stdout, re.MULTILINE)
+    assert re.search(r"^sensors\.pose +choice +true \| encoders +true *$", result.stdout, re.MULTILINE)
     assert re.search(r"^controller\.law +choice +hybrid \| ", result.stdout, re.MULTILINE)
 
 

@@ -25,6 +25,7 @@ else:
 _FAILURE = 10.0  # cost of a second that a failed run is short of its duration, in those of a second with error e_0
 _DRAWS = 100  # of an episode's start, until one is such that the target is seen
 _SHARE = 0.1  # of a twist error that the velocity servo takes away in a tick
+_LEAST_ERROR = 1e-6  # [px] between images of home and goal that differ by more than rounding
 _TWIST_SCALE = np.repeat([0.1, 0.5], 3)  # [m/s; rad/s]
 _MODES = {"next_step": "NEXT_STEP", "same_step": "SAME_STEP", "disabled": "DISABLED"}
 
@@ -64,8 +65,9 @@ class HexapodVectorEnv(_vector.VectorEnv):  # type: ignore[misc]
         error = np.ones(1)
         if scene.has_points:
             error = self._desired - _rectified(self._settings, scene.camera.pixels(_points(scene.image(scene.home)[0])))
-        self._error_unit = float(np.sqrt(np.mean(error**2))) or 1.0
-        self._stiffness = _damping(scene, self._tick) if action == "twist" else None
+        at_home = float(np.sqrt(np.mean(error**2)))
+        self._error_unit = at_home if at_home > _LEAST_ERROR else 1.0
+        self._servo = scene.probe if action == "twist" else None
         if action_scale is None:
             action_scale = _TWIST_SCALE if action == "twist" else _wrench_scale(scene)
         self.action_scale = _six("action_scale", action_scale)
@@ -140,8 +142,8 @@ class HexapodVectorEnv(_vector.VectorEnv):  # type: ignore[misc]
         if np.isnan(given).any():
             raise ValueError("actions: expected numbers, got NaN")
         wanted = np.clip(given, -1.0, 1.0) * self.action_scale
-        if self._stiffness is not None:
-            wanted = self._stiffness * (wanted - self._states["twist"])
+        if self._servo is not None:
+            wanted = _following(self._servo, wanted, self._states, self._tick)
         before = self._over
         error = np.sqrt(np.mean((self._desired - self._seen) ** 2, axis=1)) / self._error_unit
         self._runs.command(wanted)
@@ -274,8 +276,9 @@ def gymnasium(
         Number of environments of a vector environment, which run on one thread; None: a single environment.
     action
         Six numbers from -1 to 1, times `action_scale`; larger ones are clipped. "wrench": what acts beyond the
-        estimated weight [N; N m], in B. "twist": a velocity in B [m/s; rad/s] for a servo that takes away a tenth of
-        the difference from the measured twist in a tick.
+        estimated weight [N; N m], in B. "twist": a velocity in B [m/s; rad/s] for a servo that, with the estimated
+        inertia and Coriolis terms at the measured pose, takes away a tenth of the difference from the measured twist
+        in a tick.
     action_scale
         (6,) or one number. None: the largest wrench of the legs at home, along each axis, or 0.1 m/s and 0.5 rad/s.
     start_spread
@@ -292,8 +295,8 @@ def gymnasium(
         Observation, as the controller's sensors give it: desired minus seen features (8,) [px], the newest that are
         usable, both rectified with the camera that the controller assumes; position (3,) in B [m]; quaternion (4,)
         with w >= 0; twist (6,) in B [m/s; rad/s]. Reward: ``-T_c e/e_0`` with the servo period, the RMS of the seen
-        feature error at the action and that at home; an episode that fails costs 10 for each second that is left.
-        Infos: ``time`` [s].
+        feature error at the action and that at home (1 px where the goal is the image from home, or the camera is
+        as_printed); an episode that fails costs 10 for each second that is left. Infos: ``time`` [s].
 
     Raises
     ------
@@ -360,6 +363,11 @@ def _wrench_scale(scene: Scene) -> Array:
     return np.asarray(np.abs(scene.hexapod.wrench_map(scene.home.position, scene.home.quaternion)).sum(axis=1) * force)
 
 
-def _damping(scene: Scene, tick: float) -> Array:
-    """Return the wrench per twist error of the velocity servo, (6,) [N s/m; N m s/rad]."""
-    return np.asarray(np.diag(scene.probe.inertia(scene.home.quaternion[None])[0]) * _SHARE / tick)
+def _following(probe: _core.Probe, wanted: Array, states: dict[str, NDArray[Any]], tick: float) -> Array:
+    """Return the wrenches (n, 6) [N; N m] of the velocity servo, beyond the weight: the estimate's at the states.
+
+    All of the inertia, since a centre of mass off the origin couples force and rotation.
+    """
+    acceleration = (wanted - states["twist"]) * (_SHARE / tick)
+    inertial, coriolis, _ = probe.estimated_wrenches(states["quaternion"], states["twist"], acceleration)
+    return np.asarray(inertial + coriolis)

@@ -38,6 +38,8 @@ _TITLE = "hexservo model 1"
 _DATE = (1980, 1, 1, 0, 0, 0)  # of every file in a unit: equal scenarios give equal units
 # A unit logs nothing; its mode decides what it is, its legs which units it has.
 _LEFT_OUT = ("simulation.log_every", "simulation.mode", "robot.legs")
+# Of a controller: which outputs it has.
+_NOT_OF_A_CONTROLLER = ("actuators.kind", "camera.latency_known")
 # A plant that takes wrenches has no law and no drives that take positions, is not judged, and goes on until it fails.
 _NOT_OF_A_PLANT = ("controller.", "actuators.kind", "actuators.position.", "actuators.motor.", "metrics.",
                    "simulation.duration")  # fmt: skip
@@ -137,7 +139,7 @@ def is_unit(path: Path) -> bool:
 def _keys(settings: _core.Settings, what: UnitKind) -> Iterator[_core.ScenarioKey]:
     """Yield the keys that act in a unit."""
     if what == "controller":
-        yield from controller_keys(settings)
+        yield from (key for key in controller_keys(settings) if key.name not in _NOT_OF_A_CONTROLLER)
         return
     for key in _core.scenario_keys(settings.law):
         brakes = key.name.startswith("controller.safe.")  # without an image, a plant too

@@ -13,11 +13,21 @@ from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene, scene_of
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.block import SAMPLED_MODE
+from hexservo.scenario.keys import default_of, keys_below, value_at
 from hexservo.scenario.scenario import Scenario, require_scenario
 from hexservo.scenario.version import VERSION
 
 TITLE = "<!-- hexservo MJCF, format 1 -->"
 """First line of every exported model, which distinguishes it from other files."""
+
+LEFT_OUT = (
+    "robot.speed_limit", "robot.joint_limit", "robot.on_limit", "camera.distortion", "camera.period", "camera.latency",
+    "camera.latency_jitter", "camera.noise", "camera.quantisation", "camera.dropout", "camera.outlier_probability",
+    "camera.outlier_size", "camera.smoothing", "sensors", "actuators.bandwidth", "actuators.delay",
+    "actuators.quantisation", "actuators.motor.quantisation", "base_motion", "target.frame", "target.motion",
+    "uncertainty",
+)  # fmt: skip
+"""Blocks and keys of machine, camera, sensors and surroundings that no model has."""
 
 _RESOLUTION = (640.0, 480.0)  # [px], of a camera without a border
 _LIGHT = 3e-6  # inertia of a crank, of that of the platform as a mass at its end
@@ -48,9 +58,11 @@ def mjcf(scenario: Scenario) -> str:
     cranks have 3e-6 of the platform's inertia, and the step is a whole part of the one above, so short that rods
     yield by less than 1e-6 of a crank's length under the weight.
 
-    Not in the model: the controller, errors of the estimate (``uncertainty``), sensors' faults, motion of the base, and
-    distortion of the lens. Strokes are written as ranges that do not act, since a leg beyond its stroke is an event in
-    hexservo, no stop. Force limits act where ``actuators.saturation`` is set.
+    Not in the model: the controller, the relative errors ``uncertainty``, ``sensors``, times and faults of the camera,
+    distortion of the lens, ``actuators.bandwidth``, ``delay`` and ``quantisation``, motion of base and target, and the
+    limits of speed and joints. `not_in_model` names those keys that a scenario sets. Strokes are written as ranges that
+    do not act, since a leg beyond its stroke is an event in hexservo, no stop. Force limits act where
+    ``actuators.saturation`` is set.
 
     Parameters
     ----------
@@ -145,6 +157,12 @@ def mjcf(scenario: Scenario) -> str:
         "</mujoco>",
     ]
     return "\n".join(lines) + "\n"
+
+
+def not_in_model(scenario: Scenario) -> list[str]:
+    """Return the keys that a scenario sets, other than to their defaults, and its model leaves out (`LEFT_OUT`)."""
+    keys = (key for name in LEFT_OUT for key in keys_below(name))
+    return [key for key in keys if value_at(scenario, key) != default_of(key)]
 
 
 class _Cranks:

@@ -96,13 +96,15 @@ def _notes(scenario: hs.Scenario) -> str:
 
 
 def _mjcf(scenario: hs.Scenario, file: str, force: bool) -> str:
-    from hexservo.bridges.mujoco_model import TITLE, mjcf
+    from hexservo.bridges.mujoco_model import TITLE, mjcf, not_in_model
     from hexservo.run.files import write_file
 
     with refusals():
         text = mjcf(scenario)
     write_file(text, file, TITLE, _AUTHOR, force=force)
-    return f'{file}: machine, camera and target of the scenario "{scenario.name}" for MuJoCo\n'
+    missing = not_in_model(scenario)
+    first = f'{file}: machine, camera and target of the scenario "{scenario.name}" for MuJoCo\n'
+    return first + (f"Note: not in the model: {', '.join(missing)}.\n" if missing else "")
 
 
 def _fmu(scenario: hs.Scenario, file: str, fmi: int, what: str, force: bool) -> str:

@@ -28,7 +28,9 @@ def schema(
         table = Table.grid(padding=(0, 2))
         for entry in all_keys():
             kind = f"{entry['type']} {bounds_of(entry)}".strip()
-            values = " | ".join(entry["choices"]) if "choices" in entry else entry["unit"]
+            # as a file has them: true without quotes
+            choices = (name if isinstance(name, str) else json.dumps(name) for name in entry.get("choices", ()))
+            values = " | ".join(choices) or entry["unit"]
             table.add_row(entry["key"], kind, values, _shortened(json.dumps(entry["default"])))
         show_parts(table)
 

@@ -63,11 +63,16 @@ def _walk(law: str) -> tuple[tuple[_core.ScenarioKey, ...], attrgetter[tuple[Any
 
 def _in_core(key: _core.ScenarioKey, value: Any) -> Any:
     """Return a value as the core takes it."""
-    if key.type == "choice" and value is True:  # the true value of something, beside names of stand-ins for it
-        return next(choice for choice in key.choices if choice.startswith("tru"))
+    if key.type == "choice" and value is True:
+        return next(choice for choice in key.choices if choice_in_file(choice) is True)
     if key.type == "array" and isinstance(value, str):  # "linear" is the core's default table
         return None
     return value
+
+
+def choice_in_file(choice: str) -> str | bool:
+    """Return what a scenario file has for a choice of the core: true for the true value of something, else its name."""
+    return True if choice.startswith("tru") else choice
 
 
 def gains_of(settings: Settings) -> Any:

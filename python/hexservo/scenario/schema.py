@@ -15,6 +15,7 @@ from hexservo.scenario.blocks import Blocks
 from hexservo.scenario.fields import meanings_of
 from hexservo.scenario.flat import is_none
 from hexservo.scenario.keys import default_of_field, leaves
+from hexservo.scenario.parameters import choice_in_file
 from hexservo.scenario.rules import ArrayRule, Choice, DisplacementRule, Number, Rule
 from hexservo.scenario.tag import GridRule, TagRule
 
@@ -22,13 +23,17 @@ from hexservo.scenario.tag import GridRule, TagRule
 def all_keys() -> list[dict[str, Any]]:
     """Return every key of a scenario in the order of its blocks, as data for JSON: those of `schema` and of Python.
 
-    Each entry has ``meaning``, one line. Keys that Python reads into others or keeps, such as names, files and presets,
+    Each entry has ``meaning``, one line, and choices are those of a file: true for the true value of something (of the
+    core ``truth``, ``true_rates``). Keys that Python reads into others or keeps, such as names, files and presets,
     are of type number, array, choice, text or mapping, and have neither ``concern`` nor ``reach``.
     """
     of_core = {entry["key"]: entry for entry in schema()}
     meanings = dict(_meanings(Blocks))
     return [
-        {**(of_core.get(key) or _own_entry(key, field, sampled, meanings[key])), "meaning": meanings[key]}
+        {
+            **(_in_file(of_core[key]) if key in of_core else _own_entry(key, field, sampled, meanings[key])),
+            "meaning": meanings[key],
+        }
         for key, field, sampled in leaves(Blocks)
     ]
 
@@ -79,6 +84,15 @@ def _entry(key: _core.ScenarioKey, default: Any) -> dict[str, Any]:
     entry["default"] = _plain(key, default)
     entry |= {"mode": _mode(key.sampled), "concern": key.concern, "reach": key.reach}
     return entry
+
+
+def _in_file(entry: dict[str, Any]) -> dict[str, Any]:
+    """Return an entry of `schema` with the choices that a scenario file takes."""
+    if entry["type"] != "choice":
+        return entry
+    choices = [choice_in_file(choice) for choice in entry["choices"]]
+    default = entry["default"]
+    return {**entry, "choices": choices, "default": default if default is None else choice_in_file(default)}
 
 
 def _meanings(block: type[BaseModel], head: str = "") -> Iterator[tuple[str, str]]:

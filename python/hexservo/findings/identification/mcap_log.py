@@ -242,26 +242,30 @@ def _joined(
 
     commands, commanded = ordered(commands)
     joints, time = ordered(joints)
+    # Ticks before the first command are left out before anything is made of the times: a program that starts may read
+    # the joints now and then.
+    first = int(np.searchsorted(time[1:], commanded[0], side="right"))
+    joints, time = joints[first:], time[first:]
     period = period_of(time)
-    # Newest command before the next tick. Ticks before the first command are left out.
+    # of each tick, the newest before the next one
     newest = np.searchsorted(commanded, np.append(time[1:], time[-1] + period), side="left") - 1
-    known = newest >= 0
-    if not known.any():
+    if newest[0] < 0:
         raise ScenarioError(f"expected commands during the record of {JOINTS}, got none before its end", source)
     positions = np.array([message.numbers for message in commands])
     measured = np.array([message.numbers for message in joints])
     shown, arrival, exposure = _frames(*_during(time, period, *ordered(features), source), start * 1e-9, source)
-    return Recorded(time[known], period, positions[newest[known]], measured[known], shown, arrival, exposure)
+    return Recorded(time, period, positions[newest], measured, shown, arrival, exposure)
 
 
 def _during(
     time: Array, period: float, features: list[_Message], arrival: Array, source: str
 ) -> tuple[list[_Message], Array]:
-    """Return the frames that arrived between the first and the last tick: a recorder may have more of the camera."""
+    """Return the frames that arrived between the first and the last of the ticks: a recorder may have more of them."""
     inside = np.flatnonzero((arrival >= time[0] - period) & (arrival <= time[-1] + period))
     if features and not len(inside):
         raise ScenarioError(
-            f"{FEATURES}: expected messages during the record of {JOINTS}, got {len(features)} before or after it; "
+            f"{FEATURES}: expected messages between the first of {COMMANDS} and the last of {JOINTS}, got "
+            f"{len(features)} before or after them; "
             'are their times of another clock? Give "time" of one clock in all messages',
             source,
         )
