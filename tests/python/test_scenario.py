@@ -220,6 +220,13 @@ REFUSED: list[tuple[str, Any, str]] = [
         'one of "eye_in_hand", "as_printed", got "Eye_in_hand"; did you mean "eye_in_hand"?',
     ),
     ("target.initial_features", [1] * 7, "expected 2 finite numbers for each of 3 to 16 points, got a list of 7"),
+    (
+        "target.initial_features",
+        [[30, 18], [65, -65], [-44, 37], [-10, -15]],
+        "expected a flat list x1, y1, x2, y2, ... of 3 to 16 points, got 4 lists of 2; write their numbers in one list",
+    ),
+    ("target.desired_features", np.ones((4, 2)), "expected a flat list x1, y1, x2, y2, ... of 3 to 16 points"),
+    ("target.depth", [[0.5], [0.5], [0.5]], "expected a flat list of a number for each of 3 to 16 points, got 3 lists"),
     ("target.initial_features", {"x": 1}, "expected 2 finite numbers for each of 3 to 16 points, got a block with"),
     ("target.desired_features", None, "expected 2 finite numbers for each point, got null"),
     ("target.desired_features[3]", [1, 2, 3, None, 5, 6, 7, 8], "expected a finite number, got null"),
