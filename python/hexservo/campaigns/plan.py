@@ -22,7 +22,6 @@ from hexservo.campaigns.file_keys import (
     PROBABILITY,
     MetricsRule,
     OptionalInteger,
-    Problem,
     RecordRule,
     RequireRule,
     ScenarioRule,
@@ -43,7 +42,7 @@ from hexservo.scenario.keys import value_at
 from hexservo.scenario.noise import is_random
 from hexservo.scenario.plain import dotted, plain
 from hexservo.scenario.problems import in_words
-from hexservo.scenario.rules import Flag, Integer, refusal, shown_value
+from hexservo.scenario.rules import Flag, Integer, Problem, refusal, shown_value
 from hexservo.scenario.scenario import Document, Scenario, load_scenario, scenario_names
 from hexservo.scenario.wording import wrong_type
 from hexservo.scenario.yaml import ScenarioError, dump_yaml, read_yaml
