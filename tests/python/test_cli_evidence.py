@@ -106,11 +106,14 @@ def test_sections_are_printed_in_words_and_tables(
     ]
 
 
-def test_the_page_that_explains_is_named_where_it_is_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_page_that_explains_is_named_where_it_is_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     installed = page_path("docs/model.md")
     assert installed is not None
     assert installed.is_absolute()
     assert installed.read_text(encoding="utf-8").startswith("# ")
+    monkeypatch.chdir(tmp_path)
+    compared = invoke("compare", "--scenarios", "paper", "--laws", "hybrid", *SHORT)[1]
+    assert f"columns are explained in {page_path('docs/compare.md')}\n" in compared
     monkeypatch.chdir(installed.parents[1])
     assert "Explained in docs/model.md" in invoke("analyse", "paper")[1].splitlines()
     assert page_path("docs/" + "missing.md") is None
