@@ -134,6 +134,23 @@ def test_a_log_without_its_machine_is_told_how_to_name_it(
     assert "this is a log" not in invoke(command, "none.csv")[2]
 
 
+@pytest.mark.parametrize("command", ["run", "check", "show"])
+def test_a_saved_result_in_place_of_a_scenario_is_recognised(command: str, saved: Path) -> None:
+    assert invoke(command, saved)[2] == (
+        f"Error: {saved}: expected YAML, got a netCDF or HDF5 file; a saved result is read by report, certify, analyse "
+        "and diagnose, and its scenario is scenario.yaml beside it\n"
+    )
+
+
+@pytest.mark.parametrize("command", ["run", "certify"])
+def test_of_the_folder_of_a_run_its_files_are_named(command: str, saved: Path) -> None:
+    folder = saved.parent
+    assert invoke(command, folder)[2] == (
+        f"Error: {folder}: cannot be read: expected a regular file, got a folder; name a file in it: "
+        f"{folder / 'scenario.yaml'} or {saved}\n"
+    )
+
+
 @pytest.mark.parametrize("command", [*COMMANDS, "report"])
 def test_help_lists_what_a_command_reads(command: str) -> None:
     shown = " ".join(word for word in invoke(command, "--help")[1].split() if word != "│")

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import yaml
 
-from hexservo.scenario.reading import open_regular, path_text
+from hexservo.scenario.reading import HDF5, open_regular, path_text
 
 Plain: TypeAlias = "bool | int | float | str | list[Plain] | dict[str, Plain] | None"
 """What a document holds: nothing but the types of the YAML core schema."""
@@ -207,6 +207,12 @@ def read_text(path: str | os.PathLike[str], kind: str) -> str:
 
 def decoded(content: bytes, kind: str, source: str) -> str:
     """Return what was read from a file or a stream as text, under the same rules as `read_text`."""
+    if content.startswith(HDF5):
+        raise ScenarioError(
+            f"expected {kind}, got a netCDF or HDF5 file; a saved result is read by report, certify, analyse and "
+            "diagnose, and its scenario is scenario.yaml beside it",
+            source,
+        )
     if len(content) > MAX_BYTES:
         raise ScenarioError(f"expected at most {MAX_BYTES} bytes of {kind}, got more", source)
     try:
