@@ -401,6 +401,11 @@ def test_missing_keys_are_named() -> None:
     assert len(lines) == 5
 
 
+def test_points_in_one_list_are_refused_at_their_own_place() -> None:
+    (line,) = refusal({"target.points": [1, 2, 3] * 4, "target.initial_features": None, "target.depth": None})
+    assert line.startswith("target.points: expected 3 to 16 points of 3 finite numbers, got [1, 2, 3, ")
+
+
 TAG = {"size": 0.08, "pose": [0, 0, -0.65, 0, 0, 0]}
 
 

@@ -129,7 +129,7 @@ def point_count(target: dict[str, Any]) -> tuple[int, str]:
     """Return how many points a target, as it is written, has, and by which key; 0 without one."""
     for key, each in (("points", 1), ("initial_features", 2), ("desired_features", 2)):
         value = target.get(key)
-        if isinstance(value, list) and (key == "points" or _is_flat(value)) and len(value) % each == 0:
+        if isinstance(value, list) and _is_flat(value) == (key != "points") and len(value) % each == 0:
             return len(value) // each, key
         if value is not None:
             return 0, key  # refused at its own place
