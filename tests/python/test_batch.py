@@ -588,7 +588,11 @@ def test_a_dataset_shares_no_memory_with_the_batch(smooth: hs.Scenario, log: Log
         ({}, r"^variations: expected at least one key, got none$"),
         ({"uncertainty.dept": [0.1]}, r'^uncertainty.dept: .*did you mean "uncertainty.depth"\?$'),
         ({"robot": [0.1]}, r"^robot: expected a numeric key"),
-        ({"controller.law": [0.1]}, r"^controller.law: expected a numeric key"),
+        (
+            {"controller.law": ["hybrid", "composite"]},
+            r"^controller.law: expected a numeric key.*; run one batch for each value, or hs.compare with the laws$",
+        ),
+        ({"camera.prediction": ["none"]}, r"^camera.prediction: .*; run one batch for each value$"),
         (
             {"controller.hybrid.fuzzy.enabled": [True]},
             r"^controller.hybrid.fuzzy.enabled: expected a numeric key",

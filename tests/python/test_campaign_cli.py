@@ -56,11 +56,27 @@ def test_a_short_command_repeats_the_worst_run(tmp_path: Path) -> None:
         (["campaign-paper", "--set", "mass"], "Error: --set: expected KEY=VALUE"),
         (
             ["campaign-paper", "--set", "robot.mas=1"],
-            'Error: campaign-paper: robot.mas: unknown key; did you mean "mass"?',
+            'Error: --set: robot.mas: unknown key; did you mean "mass"?',
         ),
         (
             ["campaign-paper-gravity", "--set", "uncertainty.gravity=0.2"],
-            "Error: campaign-paper-gravity: uncertainty.gravity: has no effect, since vary has the key too",
+            "Error: --set: uncertainty.gravity: has no effect, since vary has the key too",
+        ),
+        (
+            ["campaign-papr", "--set", "robot.mass=1"],
+            'Error: "campaign-papr": no such file, and no packaged campaign has that name',
+        ),
+        (
+            ["campaign-paper", "--set", "runs=5"],
+            "Error: --set: runs: expected a key of the scenario, got one of the campaign; use --runs, or edit the file",
+        ),
+        (
+            ["campaign-paper", "--set", "vary.robot.mass=1"],
+            "Error: --set: vary.robot.mass: expected a key of the scenario, got one of the campaign; edit the file",
+        ),
+        (
+            ["campaign-paper", "--set", "uncertainty.gravty=0.1"],
+            'Error: --set: uncertainty.gravty: unknown key; did you mean "gravity"?',
         ),
         (
             ["campaign-paper", "--set", "controller.law=kelly", "--set", "controller.law=kely"],
@@ -73,6 +89,27 @@ def test_bad_input(arguments: list[str], message: str, tmp_path: Path) -> None:
     assert (code, out) == (2, "")
     assert message in err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        (
+            "tune.seed=1",
+            "Error: --set: tune.seed: expected a key of the scenario, got one of the campaign; use --seed, ",
+        ),
+        ("robot.mas=1", "Error: --set: robot.mas: unknown key"),
+    ],
+)
+def test_tune_names_the_setting_that_is_wrong(setting: str, message: str, tmp_path: Path) -> None:
+    assert message in invoke("tune", "campaign-paper", "--set", setting, "--out", str(tmp_path / "out"))[2]
+
+
+def test_a_file_that_is_wrong_without_the_settings_is_blamed_itself(tmp_path: Path) -> None:
+    file = tmp_path / "wrong.yaml"
+    file.write_text("scenario: {name: a}\nvary: {}\nrequire: [outcome == completed]\nruns: 2\n", encoding="utf-8")
+    err = invoke("campaign", str(file), "--set", "simulation.duration=1", "--out", str(tmp_path / "out"))[2]
+    assert err.startswith(f"Error: {file}: scenario: missing key: target")
 
 
 def test_damage_is_a_warning(tmp_path: Path) -> None:

@@ -106,11 +106,14 @@ def test_sections_are_printed_in_words_and_tables(
     ]
 
 
-def test_the_page_that_explains_is_named_where_it_is_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_page_that_explains_is_named_where_it_is_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     installed = page_path("docs/model.md")
     assert installed is not None
     assert installed.is_absolute()
     assert installed.read_text(encoding="utf-8").startswith("# ")
+    monkeypatch.chdir(tmp_path)
+    compared = invoke("compare", "--scenarios", "paper", "--laws", "hybrid", *SHORT)[1]
+    assert f"columns are explained in {page_path('docs/compare.md')}\n" in compared
     monkeypatch.chdir(installed.parents[1])
     assert "Explained in docs/model.md" in invoke("analyse", "paper")[1].splitlines()
     assert page_path("docs/" + "missing.md") is None
@@ -129,6 +132,23 @@ def test_a_log_without_its_machine_is_told_how_to_name_it(
     told = f"{name}: this is a log; name its machine: hexservo diagnose {quoted} --machine SCENARIO"
     assert told in " ".join(error.split())
     assert "this is a log" not in invoke(command, "none.csv")[2]
+
+
+@pytest.mark.parametrize("command", ["run", "check", "show"])
+def test_a_saved_result_in_place_of_a_scenario_is_recognised(command: str, saved: Path) -> None:
+    assert invoke(command, saved)[2] == (
+        f"Error: {saved}: expected YAML, got a netCDF or HDF5 file; a saved result is read by report, certify, analyse "
+        "and diagnose, and its scenario is scenario.yaml beside it\n"
+    )
+
+
+@pytest.mark.parametrize("command", ["run", "certify"])
+def test_of_the_folder_of_a_run_its_files_are_named(command: str, saved: Path) -> None:
+    folder = saved.parent
+    assert invoke(command, folder)[2] == (
+        f"Error: {folder}: cannot be read: expected a regular file, got a folder; name a file in it: "
+        f"{folder / 'scenario.yaml'} or {saved}\n"
+    )
 
 
 @pytest.mark.parametrize("command", [*COMMANDS, "report"])

@@ -735,6 +735,10 @@ def test_it_loads_without_an_error_or_a_request(visit: Callable[..., Visit]) -> 
     )
     assert "Download plot as a PNG" in buttons
     assert not [button for button in buttons if re.search("share|send|cloud|edit", button, re.IGNORECASE)]
+    seen.page.emulate_media(media="print")
+    toolbars = "[...new Set([...document.querySelectorAll('.modebar')].map(bar => getComputedStyle(bar).display))]"
+    assert seen.page.evaluate(toolbars) == ["none"]
+    seen.page.emulate_media(media="screen")
     stopped = seen.page.evaluate(  # what a library might ask for
         """() => new Promise(resolve => {
           document.addEventListener("securitypolicyviolation", event => resolve(event.effectiveDirective));
@@ -976,6 +980,17 @@ def test_nothing_is_cut_on_paper(visit: Callable[..., Visit]) -> None:
     shown.evaluate("dispatchEvent(new Event('afterprint'))")
     ticks = shown.evaluate("getComputedStyle(document.querySelector('.chart .xtick text')).fill")
     assert brightness(ticks) > 0.7
+    assert seen.problems == []
+
+
+@in_browser
+def test_no_toolbars_cover_the_charts_where_nothing_hovers(visit: Callable[..., Visit]) -> None:
+    seen = visit(viewport=LAPTOP)  # as a browser that only makes a PDF: no pointer, fine or coarse
+    seen.page.add_init_script(
+        "const asked = matchMedia; matchMedia = query => /hover|pointer/.test(query) ? {matches: false} : asked(query);"
+    )
+    seen.open().wait_for_selector(".chart .main-svg", state="attached")
+    assert seen.page.locator(".modebar-btn").count() == 0
     assert seen.problems == []
 
 

@@ -220,8 +220,14 @@ REFUSED: list[tuple[str, Any, str]] = [
         'one of "eye_in_hand", "as_printed", got "Eye_in_hand"; did you mean "eye_in_hand"?',
     ),
     ("target.initial_features", [1] * 7, "expected 2 finite numbers for each of 3 to 16 points, got a list of 7"),
+    (
+        "target.initial_features",
+        [[30, 18], [65, -65], [-44, 37], [-10, -15]],
+        "expected a flat list x1, y1, x2, y2, ... of 3 to 16 points, got 4 lists of 2; write their numbers in one list",
+    ),
+    ("target.desired_features", np.ones((4, 2)), "expected a flat list x1, y1, x2, y2, ... of 3 to 16 points"),
+    ("target.depth", [[0.5], [0.5], [0.5]], "expected a flat list of a number for each of 3 to 16 points, got 3 lists"),
     ("target.initial_features", {"x": 1}, "expected 2 finite numbers for each of 3 to 16 points, got a block with"),
-    ("target.desired_features", None, "expected 2 finite numbers for each point, got null"),
     ("target.desired_features[3]", [1, 2, 3, None, 5, 6, 7, 8], "expected a finite number, got null"),
     ("target.depth", 0, "expected a number > 0, got 0"),
     ("target.depth", [0.5] * 3, "expected 4 numbers for the 4 points of initial_features, got a list of 3"),
@@ -386,12 +392,39 @@ def test_missing_keys_are_named() -> None:
         hs.Scenario.from_mapping({"target": {}, "robot": {"mass": 0.1, "preste": "micro"}})
     lines = str(caught.value).splitlines()
     assert lines[0].startswith('robot.preste: unknown key; did you mean "preset"?')
-    assert lines[1].startswith("missing key: name (a name of")
-    assert lines[2].startswith("robot: missing keys: platform_radius (a number > 0 or null), base_radius")
-    assert "mass" not in lines[2].partition("home_position")[2].partition("inertia")[0]
-    assert lines[2].endswith("a preset would fill them in")
-    assert lines[3] == "target: missing key: desired_features (2 finite numbers for each of 3 to 16 points)"
-    assert len(lines) == 4
+    assert lines[1].startswith("target: expected either initial_features (2 numbers per point, px) with depth (m)")
+    assert lines[2].startswith("target: expected either desired_features (2 numbers per point, px) or desired_pose")
+    assert lines[3].startswith("missing key: name (a name of")
+    assert lines[4].startswith("robot: missing keys: platform_radius (a number > 0 or null), base_radius")
+    assert "mass" not in lines[4].partition("home_position")[2].partition("inertia")[0]
+    assert lines[4].endswith("a preset would fill them in")
+    assert len(lines) == 5
+
+
+def test_points_in_one_list_are_refused_at_their_own_place() -> None:
+    (line,) = refusal({"target.points": [1, 2, 3] * 4, "target.initial_features": None, "target.depth": None})
+    assert line.startswith("target.points: expected 3 to 16 points of 3 finite numbers, got [1, 2, 3, ")
+
+
+TAG = {"size": 0.08, "pose": [0, 0, -0.65, 0, 0, 0]}
+
+
+@pytest.mark.parametrize(
+    ("target", "places"),
+    [
+        ({"tag": TAG}, ["target: expected either desired_features"]),
+        ({"depth": 0.5}, ["target: expected either initial_features", "target: expected either desired_features"]),
+        ({"tag": TAG, "weights": -1}, ["target.weights: expected", "target: expected either desired_features"]),
+        ({"tag": TAG, "tga": 1}, ["target.tga: unknown key", "target: expected either desired_features"]),
+    ],
+)
+def test_what_a_target_lacks_is_named_with_everything_else(target: dict[str, Any], places: list[str]) -> None:
+    with pytest.raises(hs.ScenarioError) as caught:
+        hs.Scenario.from_mapping({"name": "a", "target": target})
+    assert len(caught.value.problems) == len(places)
+    for line, place in zip(caught.value.problems, places, strict=True):
+        assert line.startswith(place)
+    assert "or desired_pose (6 numbers, displacement from home, m and rad), got neither" in caught.value.problems[-1]
 
 
 @pytest.mark.parametrize("document", [None, [], "text", 3, [SHORT]])

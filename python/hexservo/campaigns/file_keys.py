@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeAlias, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 from pydantic import ValidationError
 
 from hexservo.campaigns.distributions import SEED, Variation, variation_of
 from hexservo.campaigns.requirements import Requirement, requirement_of
 from hexservo.run.metrics import METRICS, asked_metrics
-from hexservo.scenario.rules import Integer, Number, Rule, did_you_mean, refusal
+from hexservo.scenario.rules import Integer, Number, Problem, Rule, did_you_mean, refusal
 from hexservo.scenario.scenario import Scenario, load_scenario
 from hexservo.scenario.yaml import ScenarioError
 
-__all__ = ["Problem", "Until"]
+__all__ = ["Until"]
 
 PROBABILITY = Number(above=0.0, below=1.0)
 T = TypeVar("T")
@@ -37,10 +37,6 @@ class Until:
     def to_plain(self) -> dict[str, float]:
         """Return what a campaign file writes for it."""
         return {self.kind: self.value}
-
-
-Problem: TypeAlias = tuple[tuple[str | int, ...], str]
-"""A place in a file, and what is wrong there."""
 
 
 def tried(read: Callable[[Any], T], value: Any, place: str | int, problems: list[Problem]) -> T | None:

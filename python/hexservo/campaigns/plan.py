@@ -22,7 +22,6 @@ from hexservo.campaigns.file_keys import (
     PROBABILITY,
     MetricsRule,
     OptionalInteger,
-    Problem,
     RecordRule,
     RequireRule,
     ScenarioRule,
@@ -43,7 +42,7 @@ from hexservo.scenario.keys import value_at
 from hexservo.scenario.noise import is_random
 from hexservo.scenario.plain import dotted, plain
 from hexservo.scenario.problems import in_words
-from hexservo.scenario.rules import Flag, Integer, refusal, shown_value
+from hexservo.scenario.rules import Flag, Integer, Problem, refusal, shown_value
 from hexservo.scenario.scenario import Document, Scenario, load_scenario, scenario_names
 from hexservo.scenario.wording import wrong_type
 from hexservo.scenario.yaml import ScenarioError, dump_yaml, read_yaml
@@ -404,7 +403,7 @@ def load_plan(
         For anything else.
     ScenarioError
         No such campaign, a file that cannot be read, or a campaign that is not valid: then with one line for each
-        problem, headed by the file's name.
+        problem, headed by the file's name unless the changes are the cause.
     """
     if changes is not None and not isinstance(changes, Mapping):
         raise wrong_type("changes", "a mapping of dotted keys, or None", changes)
@@ -421,13 +420,13 @@ def load_plan(
         )
     document = {**document, **{key: value for key, value in keys.items() if value is not None}}
     before = document.get("scenario")
+    if changes and before is not None:
+        document["scenario"] = _changed(before, changes, name)
     try:
-        if changes and before is not None:
-            document["scenario"] = _changed(before, changes)
         plan = CampaignPlan(**document)
-        _refuse_idle(plan, before, changes or {})
     except ScenarioError as error:
         raise ScenarioError(error.problems, error.source or name) from None
+    _refuse_idle(plan, before, changes or {})
     return plan
 
 
@@ -455,15 +454,17 @@ def _first_run(plan: CampaignPlan, scenario: Scenario) -> Scenario:
     return scenario.updated(Drawing(scenario, plan.vary, 0).changes(0))
 
 
-def _changed(scenario: Any, changes: Mapping[str, Any]) -> Scenario:
+def _changed(scenario: Any, changes: Mapping[str, Any], source: str | None = None) -> Scenario:
+    """Return a campaign's scenario with changes; errors are headed by the source where these are not the cause."""
     written = plain(scenario) if isinstance(scenario, Mapping) else scenario
     try:
         accepted = ScenarioRule().accept(written)
     except ValidationError as error:
-        raise ScenarioError([f"scenario: {each['msg']}" for each in error.errors(include_url=False)]) from None
+        problems = [f"scenario: {each['msg']}" for each in error.errors(include_url=False)]
+        raise ScenarioError(problems, source) from None
     if isinstance(written, str):
         return load_scenario(written, changes)
-    return Document(written).scenario(changes) if isinstance(written, dict) else accepted.updated(changes)
+    return Document(written, source).scenario(changes) if isinstance(written, dict) else accepted.updated(changes)
 
 
 def _read(source: str | os.PathLike[str]) -> Any:
@@ -474,7 +475,8 @@ def _read(source: str | os.PathLike[str]) -> Any:
                 return read_yaml(path)
         if not os.path.lexists(source):
             names = ", ".join(campaign_names())
-            raise ScenarioError(f'"{source}": no such file, and no packaged campaign has that name; packaged: {names}')
+            problem = f"no such file, and no packaged campaign has that name; packaged: {names}"
+            raise ScenarioError(problem, f'"{source}"')
     document = read_yaml(source)
     if isinstance(document, dict) and isinstance(document.get("scenario"), str):
         named = str(document["scenario"])

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 from hexservo.campaigns.distributions import Variation, variation_of
-from hexservo.campaigns.file_keys import Problem, tried
+from hexservo.campaigns.file_keys import tried
 from hexservo.campaigns.loop_numbers import LOOP_NUMBERS
 from hexservo.campaigns.requirements import Requirement, requirement_of
 from hexservo.run.metrics import METRICS
-from hexservo.scenario.rules import Integer, Rule, did_you_mean, refusal, shown_value
+from hexservo.scenario.rules import Integer, Problem, Rule, did_you_mean, refusal, shown_value
 
 __all__ = ["CORNERS", "TunePlan", "Variable"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
@@ -29,6 +29,7 @@ from hexservo.cli.terminal import (
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
+    from hexservo.campaigns.plan import CampaignPlan
     from hexservo.findings.evidence import Section
 
 _LONGEST_COMMAND = 400  # characters that are printed; a longer one has arrays, and the file holds them too
@@ -88,15 +89,13 @@ def campaign(
     the worst runs.
     """
     with errors_as_messages():
-        changes = changes_of(settings or [])
+        options = {"runs": "--runs", "chunk_size": "--chunk-size"}
+        plan = _plan(file, settings or [], options, runs=runs, chunk_size=chunk_size)
         started = time.perf_counter()
         with refusals():  # of an option, as the number of threads
             result = hs.campaign(
-                file,
+                plan,
                 out,
-                changes=changes,
-                runs=runs,
-                chunk_size=chunk_size,
                 threads=threads,
                 engine=engine,
                 store_on_workers=store_on_workers,
@@ -155,9 +154,7 @@ def tune(
     with which the requirements hold; the message names the one that cannot hold with the others.
     """
     with errors_as_messages():
-        from hexservo.campaigns.plan import load_plan
-
-        plan = load_plan(file, changes_of(settings or []))
+        plan = _plan(file, settings or [], {f"tune.{name}": f"--{name}" for name in ("generations", "rounds", "seed")})
         try:
             with refusals(file):
                 found = hs.tune(
@@ -180,6 +177,26 @@ def tune(
             complain("no report, which is one of the held-out campaign; tuning.json has the course", head="Warning")
         if not found.feasible:
             raise typer.Exit(NOT_FEASIBLE)
+
+
+def _plan(file: str, settings: list[str], options: Mapping[str, str], **keys: int | None) -> CampaignPlan:
+    """Load a campaign file, its scenario changed by --set; `options` are those that stand for keys of the file."""
+    from hexservo.campaigns.plan import CampaignPlan, load_plan
+    from hexservo.scenario.blocks import Blocks
+
+    changes = changes_of(settings)
+    of_file = CampaignPlan.model_fields.keys() - Blocks.model_fields.keys()
+    problems = []
+    for key in changes:
+        if key.partition(".")[0] in of_file:
+            instead = f"use {options[key]}, or edit" if key in options else "edit"
+            problems.append(f"{key}: expected a key of the scenario, got one of the campaign; {instead} the file")
+    if problems:
+        raise hs.ScenarioError(problems, "--set")
+    try:
+        return load_plan(file, changes, **keys)
+    except hs.ScenarioError as error:
+        raise hs.ScenarioError(error.problems, error.source or "--set") from None
 
 
 _warn = partial(complain, head="Warning")

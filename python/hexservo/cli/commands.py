@@ -18,6 +18,7 @@ import typer
 
 import hexservo as hs
 from hexservo.cli import assurance, evidence, explore, export, identify, keys, machine, terminal
+from hexservo.cli.print_sections import installed_place
 from hexservo.cli.terminal import (
     GAP,
     NOT_SETTLED,
@@ -374,7 +375,8 @@ def _comparison_report(
         if not row.settled or row.passed_limits:
             yield Text(f"{row.scenario.name}, {row.law}: {row.verdict}: {row.why}", style="yellow")
     runs = f"{len(comparison.rows)} runs" if len(comparison.rows) > 1 else "1 run"
-    yield Text(f"{runs} in {spell_time(elapsed)}; columns are explained in docs/compare.md", style="dim")
+    explained = f"columns are explained in {installed_place('docs/compare.md')}"
+    yield Text(f"{runs} in {spell_time(elapsed)}; {explained}", style="dim")
     if folder is not None:
         yield Text(f"comparison.md, .csv, .svg, .png and the scenarios are in {folder}")
     elif hint:

@@ -42,10 +42,10 @@ def _printed_item(item: Item) -> Iterator[RenderableType]:
     if item.note:
         yield Text(item.note, style="dim")
     if item.page:  # in one line, as it can be copied
-        yield Text(f"Explained in {_place(item.page)}", style="dim", no_wrap=True, overflow="ignore")
+        yield Text(f"Explained in {installed_place(item.page)}", style="dim", no_wrap=True, overflow="ignore")
 
 
-def _place(page: str) -> str:
+def installed_place(page: str) -> str:
     """Return where a page is installed, from the current folder if it is inside."""
     from hexservo.report.documentation import page_path
 

@@ -14,6 +14,7 @@
   const PRINTED_GAP = 20;
   const dark = matchMedia("(prefers-color-scheme: dark)");
   const coarse = matchMedia("(pointer: coarse)").matches; // fingers scroll the page, they do not zoom charts
+  const toolbars = !coarse && matchMedia("(hover: hover)").matches; // else they would stay over the charts
   let printing = false;
   const palette = () => (dark.matches && !printing ? DARK : LIGHT);
 
@@ -60,7 +61,7 @@
 
   // Buttons are named one by one: plotly.js has one that sends a chart to a server.
   const config = (...buttons) => ({
-    displaylogo: false, responsive: false, scrollZoom: false, displayModeBar: coarse ? false : "hover", showSendToCloud: false,
+    displaylogo: false, responsive: false, scrollZoom: false, displayModeBar: toolbars ? "hover" : false, showSendToCloud: false,
     plotlyServerURL: "", modeBarButtons: [buttons],
   });
   const CONFIG = config("toImage", "zoom2d", "pan2d", "resetScale2d");

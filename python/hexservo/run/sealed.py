@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, NoReturn
 
-from hexservo.scenario.reading import open_regular, path_text
+from hexservo.scenario.reading import HDF5, open_regular, path_text
 from hexservo.scenario.version import VERSION
 from hexservo.scenario.wording import quoted
 
@@ -30,7 +30,6 @@ FORMAT = 2
 MAX_BYTES = 4 << 30
 """Largest file that is read; the core logs at most 2 GiB."""
 
-_HDF5 = b"\x89HDF\r\n\x1a\n"
 _END = re.compile(
     rb"\nhexservo result, format (?P<format>[0-9]{1,9}), hexservo (?P<version>[0-9A-Za-z.+-]{1,40})\n"
     rb"sha256 (?P<digest>[0-9a-f]{64}) of the (?P<size>[0-9]{1,12}) bytes before\n\Z"
@@ -76,7 +75,7 @@ def sealed_blocks(file: BinaryIO, place: str, size: int) -> Iterator[bytes]:
     end = _END.search(file.read(_END_BYTES) or b"")  # None: a file of the system that has nothing now
     file.seek(0)
     if end is None:
-        raise ResultError(f"{place}: {_unsealed(file.read(len(_HDF5)) == _HDF5)}")
+        raise ResultError(f"{place}: {_unsealed(file.read(len(HDF5)) == HDF5)}")
     _check_format(int(end["format"]), end["version"].decode(), place)
     covered = size - len(end[0]) + end[0].index(b"sha256 ")
     digest = hashlib.sha256()

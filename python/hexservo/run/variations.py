@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.blocks import SIDES, circle_keys
+from hexservo.scenario.blocks import SIDES, Blocks, circle_keys
 from hexservo.scenario.fitted import (
     acts_on_gains,
     auto_of,
@@ -20,7 +20,7 @@ from hexservo.scenario.fitted import (
     machine_of,
     machine_with,
 )
-from hexservo.scenario.keys import MAX_WHOLE_FLOAT, NumericKey, numeric_keys, sampled_keys, without_effect
+from hexservo.scenario.keys import MAX_WHOLE_FLOAT, NumericKey, all_paths, numeric_keys, sampled_keys, without_effect
 from hexservo.scenario.laws import ALL_LAWS
 from hexservo.scenario.leg_units import unit_of, unit_of_entry
 from hexservo.scenario.parameters import units_of_keys
@@ -123,7 +123,10 @@ def known_key(key: object, law: str, points: int = 4) -> NumericKey:
         return known[key]
     if any(key in numeric_keys(other) for other in ALL_LAWS):
         raise ValueError(f"{key}: expected a key of the scenario's law, {law}, got a key of a different law")
-    hint = did_you_mean(key, known)
+    if isinstance(key, str) and key in all_paths(Blocks):
+        hint = "; run one batch for each value" + (", or hs.compare with the laws" if key == "controller.law" else "")
+    else:
+        hint = did_you_mean(key, known)
     raise ValueError(f"{key}: expected a numeric key, got one that is not numeric and cannot vary within a batch{hint}")
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from hexservo.scenario.rules import HalfTurn, Number
 
@@ -28,6 +29,18 @@ class _Sampled:
 
 SAMPLED = _Sampled()
 SAMPLED_MODE = "sampled"
+
+
+def together(*errors: ValidationError) -> ValidationError:
+    """Return errors of one block as one, so that all problems are reported together."""
+    details: list[InitErrorDetails] = []
+    for problem in [problem for error in errors for problem in error.errors(include_url=False)]:
+        kind: Any = problem["type"]
+        context = problem.get("ctx", {})
+        if kind == "scenario":  # a sentence of `refusal`
+            kind = PydanticCustomError(kind, "{text}", context)
+        details.append({"type": kind, "loc": problem["loc"], "input": problem["input"], "ctx": context})
+    return ValidationError.from_exception_data("scenario", details)
 
 
 class Block(BaseModel):

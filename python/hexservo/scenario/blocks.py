@@ -9,7 +9,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, ModelWrapValidatorHandler, ValidationError, model_validator
 
 from hexservo import _core
 from hexservo.scenario.block import (
@@ -22,6 +22,7 @@ from hexservo.scenario.block import (
     Block,
     NumberNotNegative,
     PositiveNumber,
+    together,
 )
 from hexservo.scenario.core_defaults import core_default, from_core
 from hexservo.scenario.drives import Actuators
@@ -44,6 +45,7 @@ from hexservo.scenario.rules import (
     Number,
     OptionalNumber,
     PointsRule,
+    Problem,
     TrueOr,
     Vector,
     diagonal_if_diagonal,
@@ -332,30 +334,49 @@ class Target(Block):
         require_counts(data)
         if data.get("initial_features") is not None and data.get("points") is None:
             data = {**data, "depth": DEFAULT_DEPTH if data.get("depth") is None else data["depth"]}
-        return data if data.get("desired_pose") is None else {"desired_features": None, **data}
+        return {"desired_features": None, **data}
 
-    @model_validator(mode="after")
-    def _has_one_form(self) -> Target:
-        forms = (
-            "expected either initial_features (2 numbers per point, px) with depth (m), points (3 numbers per point, "
-            "m, in B), tag (size, pose), or grid (rows, columns, spacing, pose)"
-        )
-        given = [key for key in ("initial_features", "points", "tag", "grid") if getattr(self, key) is not None]
-        if not given:
-            raise refusal(((), f"{forms}, got none of them"))
-        if len(given) > 1:
-            raise refusal(((), f"{forms}, got {' and '.join(given)}; leave one out or set it to null"))
-        if self.initial_features is None and self.depth is not None:
-            depth = shown_value(map_lists(self.depth, list))
-            raise refusal((("depth",), f"expected no depth beside {given[0]}, got {depth}"))
-        goals = [key for key in ("desired_features", "desired_pose") if getattr(self, key) is not None]
-        if not goals:
-            raise refusal(
-                (("desired_features",), "expected 2 finite numbers for each point, got null; or desired_pose")
+    @model_validator(mode="wrap")
+    @classmethod
+    def _has_one_form(cls, data: Any, read: ModelWrapValidatorHandler[Target]) -> Target:
+        problems = _problems_of_form(data) if isinstance(data, dict) else []
+        of_form = [refusal(*problems)] if problems else []
+        try:
+            target = read(data)
+        except ValidationError as error:
+            raise together(error, *of_form) from None
+        if of_form:
+            raise of_form[0]
+        return target
+
+
+def _problems_of_form(target: dict[str, Any]) -> list[Problem]:
+    """Return what is missing in a target, as it is written, or given twice: its points, and its goal."""
+    forms = (
+        "expected either initial_features (2 numbers per point, px) with depth (m), points (3 numbers per point, "
+        "m, in B), tag (size, pose), or grid (rows, columns, spacing, pose)"
+    )
+    problems: list[Problem] = []
+    given = [key for key in ("initial_features", "points", "tag", "grid") if target.get(key) is not None]
+    if not given:
+        problems.append(((), f"{forms}, got none of them"))
+    elif len(given) > 1:
+        problems.append(((), f"{forms}, got {' and '.join(given)}; leave one out or set it to null"))
+    elif given != ["initial_features"] and target.get("depth") is not None:
+        depth = shown_value(map_lists(target["depth"], list))
+        problems.append((("depth",), f"expected no depth beside {given[0]}, got {depth}"))
+    goals = [key for key in ("desired_features", "desired_pose") if target.get(key) is not None]
+    if not goals:
+        problems.append(
+            (
+                (),
+                "expected either desired_features (2 numbers per point, px) or desired_pose (6 numbers, displacement "
+                "from home, m and rad), got neither",
             )
-        if len(goals) > 1:
-            raise refusal((("desired_pose",), "expected null beside desired_features, got both; leave one out"))
-        return self
+        )
+    elif len(goals) > 1:
+        problems.append((("desired_pose",), "expected null beside desired_features, got both; leave one out"))
+    return problems
 
 
 class Uncertainty(Block):

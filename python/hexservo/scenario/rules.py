@@ -20,12 +20,13 @@ __all__ = ["Matrix", "Vector"]
 
 Vector: TypeAlias = tuple[float, ...]
 Matrix: TypeAlias = tuple[Vector, ...]
+Problem: TypeAlias = tuple[tuple[str | int, ...], str]  # place of a value, below the current one, and a sentence
 LEAST_POINTS, MOST_POINTS = _core.LEAST_POINTS, _core.MOST_POINTS  # of a target
 _POINTS = f"{LEAST_POINTS} to {MOST_POINTS}"
 TERMS = dict(zip(("NB", "NM", "NS", "ZE", "PS", "PM", "PB"), _core.TERM_CENTRES, strict=True))
 
 
-def refusal(*problems: tuple[tuple[str | int, ...], str]) -> ValidationError:
+def refusal(*problems: Problem) -> ValidationError:
     """Return the error with each sentence at a location below the current one."""
     return ValidationError.from_exception_data(
         "scenario",
@@ -182,6 +183,10 @@ class PointsRule(ArrayRule):
     def accept(self, value: Any) -> float | Vector | Matrix | None:
         if not isinstance(value, list):
             return super().accept(value)
+        if not self.rows and value and all(isinstance(item, list) for item in value):
+            order = "x1, y1, x2, y2, ... of" if self.each == 2 else "of a number for each of"
+            got = f"{len(value)} lists of {len(value[0])}; write their numbers in one list"
+            raise refusal(((), f"expected a flat list {order} {_POINTS} points, got {got}"))
         points, rest = divmod(len(value), 1 if self.rows else self.each)
         if rest or not LEAST_POINTS <= points <= MOST_POINTS:
             raise refusal(((), f"expected {self.expected}, got a list of {len(value)}"))
@@ -410,7 +415,7 @@ def _is_number_text(value: str) -> bool:
 
 def _tuples(value: list[Any], shape: tuple[int, ...], accept: Callable[[Any], float], expected: str) -> Any:
     """Turn an array into nested tuples, or refuse everything that is wrong in it, each at its index."""
-    problems: list[tuple[tuple[str | int, ...], str]] = []
+    problems: list[Problem] = []
 
     def level(value: Any, place: tuple[int, ...]) -> Any:
         if len(place) == len(shape):

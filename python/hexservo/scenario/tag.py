@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeGuard
 
 import numpy as np
 
@@ -83,10 +83,15 @@ def require_counts(target: dict[str, Any]) -> None:
     problems = [
         ((key,), f"expected {each * points} numbers for the {points} points of {source}, got a list of {len(value)}")
         for key, each in per_point.items()
-        if isinstance(value := target.get(key), list) and points and key != source and len(value) != each * points
+        if points and key != source and _is_flat(value := target.get(key)) and len(value) != each * points
     ]
     if problems:
         raise refusal(*problems)
+
+
+def _is_flat(value: Any) -> TypeGuard[list[Any]]:
+    """Return whether a value is a list without lists in it, whose length is one of numbers."""
+    return isinstance(value, list) and not any(isinstance(item, list) for item in value)
 
 
 def require_counts_elsewhere(scenario: dict[str, Any]) -> None:
@@ -107,7 +112,7 @@ def require_counts_elsewhere(scenario: dict[str, Any]) -> None:
             f"got a list of {len(value)}",
         )
         for block, key, value, each in found
-        if isinstance(value, list) and points and len(value) != each * points
+        if points and _is_flat(value) and len(value) != each * points
     ]
     if problems:
         raise refusal(*problems)
@@ -124,7 +129,7 @@ def point_count(target: dict[str, Any]) -> tuple[int, str]:
     """Return how many points a target, as it is written, has, and by which key; 0 without one."""
     for key, each in (("points", 1), ("initial_features", 2), ("desired_features", 2)):
         value = target.get(key)
-        if isinstance(value, list) and len(value) % each == 0:
+        if isinstance(value, list) and _is_flat(value) == (key != "points") and len(value) % each == 0:
             return len(value) // each, key
         if value is not None:
             return 0, key  # refused at its own place

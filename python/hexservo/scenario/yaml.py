@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import yaml
 
-from hexservo.scenario.reading import open_regular, path_text
+from hexservo.scenario.reading import HDF5, open_regular, path_text
 
 Plain: TypeAlias = "bool | int | float | str | list[Plain] | dict[str, Plain] | None"
 """What a document holds: nothing but the types of the YAML core schema."""
@@ -166,7 +166,7 @@ def load_yaml(text: str, source: str | None = None) -> Plain:
     except _RefusedError as refusal:
         raise ScenarioError(str(refusal), source) from None
     except yaml.YAMLError as error:
-        raise ScenarioError(_in_words(error), source) from None
+        raise ScenarioError(_in_words(error, text), source) from None
     except UnicodeEncodeError as error:
         raise ScenarioError(_no_character(ord(error.object[error.start]), error.start), source) from None
     except (ValueError, OverflowError):  # an escape that is no character, as "\\UFFFFFFFF"
@@ -207,6 +207,12 @@ def read_text(path: str | os.PathLike[str], kind: str) -> str:
 
 def decoded(content: bytes, kind: str, source: str) -> str:
     """Return what was read from a file or a stream as text, under the same rules as `read_text`."""
+    if content.startswith(HDF5):
+        raise ScenarioError(
+            f"expected {kind}, got a netCDF or HDF5 file; a saved result is read by report, certify, analyse and "
+            "diagnose, and its scenario is scenario.yaml beside it",
+            source,
+        )
     if len(content) > MAX_BYTES:
         raise ScenarioError(f"expected at most {MAX_BYTES} bytes of {kind}, got more", source)
     try:
@@ -281,14 +287,16 @@ def _short_tag(tag: str) -> str:
     return tag.replace("tag:yaml.org,2002:", "!!")[:60]
 
 
-def _in_words(error: yaml.YAMLError) -> str:
-    """Describe a syntax error on one line, with its place."""
+def _in_words(error: yaml.YAMLError, text: str) -> str:
+    """Describe a syntax error in a text on one line, with its place."""
     if isinstance(error, yaml.MarkedYAMLError):
         if error.problem == "exceeded maximum nesting depth":  # libyaml reads ahead, and has a limit too
             return f"nested more than {MAX_DEPTH} levels deep"
         parts = [part for part in (error.context, error.problem) if part]
         mark = error.problem_mark or error.context_mark
         place = "" if mark is None else f"line {mark.line + 1}, column {mark.column + 1}: "
+        if mark is not None and text.removeprefix("\ufeff")[mark.index : mark.index + 1] == "\t":
+            return f"{place}not valid YAML: a tab; YAML indents with spaces"
         return f"{place}not valid YAML: {', '.join(parts)}"
     if isinstance(error, yaml.reader.ReaderError):
         return _no_character(error.character, error.position)
