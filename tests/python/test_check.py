@@ -44,6 +44,12 @@ def test_packaged_scenarios_have_the_warnings_they_are_made_for(name: str) -> No
     assert keys_without_effect(scenario) == []
 
 
+def test_gains_of_a_law_that_does_not_act_are_not_looked_at() -> None:
+    coarse = hs.load_scenario("fails-coarse-step").updated({"camera.dropout": 1.0})
+    assert [line.split(":")[0] for line in unlikely(coarse)] == ["camera.dropout", "simulation.step"]
+    assert [line.split(":")[0] for line in unlikely(coarse, by_law=False)] == ["camera.dropout"]
+
+
 def only(scenario: hs.Scenario, start: str) -> str:
     (sentence,) = (sentence for sentence in unlikely(scenario) if sentence.startswith(start))
     return sentence
