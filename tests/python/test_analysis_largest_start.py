@@ -336,7 +336,11 @@ def test_a_run_that_settles_with_forces_beyond_the_limit_is_stated() -> None:
     assert all(timing.overloaded_from == min(timing.tried) for timing in limited.timings)
     section = limited.section()
     assert section.verdict != "good"
-    (words,) = (sentence for sentence in section.sentences if sentence.startswith("Forces are not limited"))
+    (words,) = (
+        sentence
+        for sentence in section.sentences
+        if sentence.startswith("Forces or torques of the legs are not limited")
+    )
     assert f"takes a force of a leg of {peak:.3g} N, beyond the limit of 0.13 N; along 12 of 12 axes" in words
     assert "with a camera latency from 0 ms on, without prediction" in words
     assert section.data["directions"][0]["overloaded_from"] == own.overloaded_from

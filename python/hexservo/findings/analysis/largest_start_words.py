@@ -133,7 +133,9 @@ def _force_words(found: LargestStart) -> list[str]:
     ]
     if not places:
         return []
-    head = "Forces are not limited in these runs, and some that settle need more than the legs have"
+    head = (
+        "Forces or torques of the legs are not limited in these runs, and some that settle need more than the legs have"
+    )
     return [f"{head}: {'; '.join(places)}."]
 
 
