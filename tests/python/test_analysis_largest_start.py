@@ -64,7 +64,9 @@ def test_periods_that_a_run_does_not_show_are_not_tried() -> None:
 
 
 def test_both_sides_of_a_border_are_printed_with_digits_that_differ() -> None:
-    turn = Direction("turn +z", np.array([0.0, 0, 0, 0, 0, math.radians(14.2)]), 1.0, "stroke", {}, {}, None, {}, 2.0)
+    turn = Direction(
+        "turn +z", np.array([0.0, 0, 0, 0, 0, math.radians(14.2)]), 1.0, "stroke", {}, {}, None, {}, 2.0, {}
+    )
     near = replace(turn, tried={0.8120: True, 0.8130: False})
     assert border_words(near) == ("11.53 deg", "11.54 deg")
     assert border_words(replace(turn, tried={0.5: True, 0.75: False})) == ("7.1 deg", "10.6 deg")
@@ -312,3 +314,52 @@ def test_a_run_beyond_speed_or_joint_limits_does_not_count_as_settled(paper: hs.
     assert 0.0 < own.settles_to < 1.0
     run = hs.metrics(hs.simulate(scenario.updated({"target.desired_features": features.tolist()})))
     assert run[metric] <= half
+
+
+def test_a_run_that_settles_with_forces_beyond_the_limit_is_stated() -> None:
+    """The law without gain holds the weight: runs settle where they start within the band, with 0.1337 N in a leg."""
+    weak = hs.load_scenario("paper").updated(
+        {
+            "controller.law": "kelly",
+            "controller.kelly.kp": 0.0,
+            "metrics.band": 25.0,  # the task itself is 20 px away
+            "simulation.duration": 0.3,
+            "robot.force_limit": 0.13,
+        }
+    )
+    limited = largest_start.analyse(weak)
+    own = limited.own
+    assert own is not None
+    assert own.overloaded_from == min(own.settling)
+    peak = hs.metrics(hs.simulate(weak))["peak_leg_force"]
+    assert own.overloads[1.0].peak == pytest.approx(peak, rel=1e-9)
+    assert all(timing.overloaded_from == min(timing.tried) for timing in limited.timings)
+    section = limited.section()
+    assert section.verdict != "good"
+    (words,) = (
+        sentence
+        for sentence in section.sentences
+        if sentence.startswith("Forces or torques of the legs are not limited")
+    )
+    assert f"takes a force of a leg of {peak:.3g} N, beyond the limit of 0.13 N; along 12 of 12 axes" in words
+    assert "with a camera latency from 0 ms on, without prediction" in words
+    assert section.data["directions"][0]["overloaded_from"] == own.overloaded_from
+
+
+def test_forces_within_the_limit_are_not_mentioned(found: LargestStart) -> None:
+    within = replace(found, directions=tuple(way for way in found.directions if way.overloaded_from is None))
+    assert within.own is not None
+    assert not any("Forces" in sentence for sentence in within.section().sentences)
+
+
+def test_a_task_needs_a_margin_to_the_force_limit(found: LargestStart, paper: hs.Scenario) -> None:
+    """Its verdict is that of a size that does not settle: good from 1.25 times the task on."""
+    own = found.own
+    assert own is not None
+    tight = paper.updated({"robot.force_limit": 0.9 * hs.metrics(hs.simulate(paper))["peak_leg_force"]})
+    goal = {"target.desired_features": np.array([paper.target.desired_features])}
+    (more,) = largest_start._Trial(tight).ends(goal).overloads
+    assert more is not None
+    for size, verdict in ((1.0, "warning"), (1.3, "good")):
+        overloaded = replace(own, tried={**own.tried, size: True}, overloads={size: more})
+        assert replace(found, directions=(overloaded, *found.directions[1:])).section().verdict == verdict

@@ -44,6 +44,12 @@ def test_packaged_scenarios_have_the_warnings_they_are_made_for(name: str) -> No
     assert keys_without_effect(scenario) == []
 
 
+def test_gains_of_a_law_that_does_not_act_are_not_looked_at() -> None:
+    coarse = hs.load_scenario("fails-coarse-step").updated({"camera.dropout": 1.0})
+    assert [line.split(":")[0] for line in unlikely(coarse)] == ["camera.dropout", "simulation.step"]
+    assert [line.split(":")[0] for line in unlikely(coarse, by_law=False)] == ["camera.dropout"]
+
+
 def only(scenario: hs.Scenario, start: str) -> str:
     (sentence,) = (sentence for sentence in unlikely(scenario) if sentence.startswith(start))
     return sentence
@@ -335,6 +341,55 @@ def test_a_focal_length_that_is_not_in_pixels() -> None:
     for focal, wide in ((472.0, True), (475.0, False)):
         found = [line for line in unlikely(machine.updated({"camera.focal_pixels": focal})) if "degrees across" in line]
         assert bool(found) is wide
+
+
+def in_millimetres(robot: hs.Robot) -> dict[str, Any]:
+    lengths = ("platform_radius", "base_radius", "stroke")
+    return {
+        **{f"robot.{name}": 1e3 * getattr(robot, name) for name in lengths},
+        "robot.home_position": [1e3 * z for z in robot.home_position],
+    }
+
+
+def test_lengths_of_a_machine_that_are_not_metres() -> None:
+    """A machine in mm: by hand, sqrt(0.03 kg m^2 / 5 kg) = 77.5 mm, as of the machine in metres."""
+    machine = hs.load_scenario("pi-h824")
+    assert machine.target.points is not None
+    points = [[1e3 * x for x in point] for point in machine.target.points]
+    large = machine.updated({**in_millimetres(machine.robot), "target.points": points})
+    assert only(large, "robot: joints 131 m from the middle, with home 159 m from the base").endswith(
+        "lengths are in metres: in mm these would be 131 mm and 159 mm"
+    )
+    assert "a radius of gyration of 77.5 mm, less than 0.5% of the platform's radius, 100 m" in only(
+        large, "robot.inertia: 0.03 kg m^2 with 5 kg"
+    )
+
+
+def test_a_home_that_is_not_in_metres(paper: hs.Scenario) -> None:
+    """The joints of the base are 0.2 m from its middle, and 20 times that is 4 m."""
+    far = "robot.home_position: 150 m from the base is more than 20 times the 200 mm from the middle to the joints"
+    assert only(at_height(paper, 150.0), far).endswith("in mm it would be 150 mm")
+    for height, found in ((3.9, False), (4.1, True)):
+        lines = [line for line in unlikely(at_height(paper, height)) if line.startswith("robot.home_position")]
+        assert bool(lines) is found
+
+
+def at_height(scenario: hs.Scenario, height: float) -> hs.Scenario:
+    return scenario.updated({"robot.home_position": [0.0, 0.0, -height]})
+
+
+@pytest.mark.parametrize(
+    ("key", "wrong", "words", "largest"),
+    [
+        ("rotation", 1.0, "1 rad is an error of 57.3 degrees; rotations are in rad: 1 degree is 0.0175 rad", 0.2),
+        ("position", 5.0, "5 m is more than the 131 mm from the middle to the joints; lengths are in metres", 0.13),
+    ],
+)
+def test_an_error_of_the_mount_in_degrees_or_millimetres(key: str, wrong: float, words: str, largest: float) -> None:
+    machine = hs.load_scenario("pi-h824")
+    name = f"uncertainty.mount.{key}"
+    assert words in only(machine.updated({name: [0.0, wrong, 0.0]}), name)
+    assert not any(line.startswith(name) for line in unlikely(machine.updated({name: [0.0, 0.0, largest]})))
 
 
 def test_a_start_within_the_settling_band(paper: hs.Scenario) -> None:

@@ -501,6 +501,17 @@ def test_the_summary_begins_with_the_worst_finding(monkeypatch: pytest.MonkeyPat
     assert re.findall(r"Title \d|Cause", listed) == ["Cause", "Title 2", "Title 4", "Title 3", "Title 1", "Title 0"]
 
 
+def test_the_summary_has_the_warnings_of_check(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before the verdicts; of a run with a custom controller without those about gains that did not act."""
+    monkeypatch.setattr("hexservo.report.page.groups", lambda _: [])
+    short = {"simulation.duration": 0.1, "metrics.dwell": 0.01, "metrics.rms_start": 0.0}
+    coarse = hs.load_scenario("fails-coarse-step").updated({**short, "robot.force_limit": 0.1})
+    still = hs.simulate(coarse, controller=lambda _: np.zeros(6))
+    for run, keys in ((hs.simulate(coarse), ["robot.force_limit", "simulation.step"]), (still, ["robot.force_limit"])):
+        (listed,) = re.findall(r'<ul class="verdicts">(.*?)</ul>', page(run), re.DOTALL)
+        assert re.findall(r'<a href="#scenario">Scenario</a>: ([a-z_.]+): ', listed) == keys
+
+
 def test_a_limit_that_is_far_exceeded_is_a_multiple(result: hs.Result) -> None:
     for force, words in (
         (0.5, "50% of it is left"),

@@ -94,12 +94,13 @@ def run(
     settings: SettingsOption = None,
     camera: CameraOption = None,
     force: ForceOption = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print no table.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print no table and no warnings.")] = False,
     require_settled: RequireSettledOption = False,
 ) -> None:
     """Simulate a scenario and report on it.
 
-    The results are printed as a table; --out writes figures and data too.
+    The results are printed as a table; --out writes figures and data too. The warnings of `hexservo check` follow on
+    standard error.
     """
     with errors_as_messages():
         from hexservo.cli.output import write_results
@@ -120,6 +121,10 @@ def run(
                 show_parts(*_report(result, elapsed, written, hint=out is None))
 
         write_then_show(None if kept else out, lambda folder: write_results(result, folder, force=force), show)
+        if not quiet and result.outcome != "interrupted":
+            from hexservo.findings.check import unlikely
+
+            complain(*unlikely(chosen), head="Warning")
         exit_as(result, _kept(out) if kept else "")
         if require_settled and math.isnan(hs.metrics(result)["settling_time"]):
             complain(f"{chosen.name}: {unsettled(hs.metrics(result), chosen.metrics)}", head="Not settled")

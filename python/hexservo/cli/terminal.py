@@ -52,7 +52,12 @@ ScenarioArgument = Annotated[
     ),
 ]
 RequireSettledOption = Annotated[
-    bool, typer.Option("--require-settled", help="End with exit code 4 if a run does not settle.")
+    bool,
+    typer.Option(
+        "--require-settled",
+        help="End with exit code 4 if the image error of a run does not settle. Exceeded limits do not count, nor does "
+        "a settling band that has the start in it.",
+    ),
 ]
 CameraOption = Annotated[
     str | None,

@@ -1,4 +1,4 @@
-"""Numbers of a machine that are legal and probably another machine's: crossed legs, a camera's view, a large load."""
+"""Numbers of a machine that are legal and probably not its own: units, crossed legs, a camera's view, a large load."""
 
 from __future__ import annotations
 
@@ -16,6 +16,10 @@ _INSIDE = 0.01  # of its length from its ends, a place inside a leg: at the ends
 _WIDEST = 120.0  # [deg], view across the diagonal of a lens that is no fisheye
 _LOAD = 0.2  # of the weight that the controller assumes, a load that it does not know
 _MICROSCOPIC = 2e-3  # [m]: no platform with its home is that small
+_GIGANTIC = 20.0  # [m]: no joints are that far from the middle, and no platform from its base
+_FAR = 20.0  # times the larger radius of the joints, a distance of home that legs between them do not have
+_COMPACT = 0.005  # of the platform's radius, a radius of gyration of a body that is no point between its joints
+_TURNED = 0.2  # [rad], an attitude of the camera that is wrong by more than a hand-eye calibration leaves
 
 
 def of_machine(scene: Scene) -> Iterator[str]:
@@ -27,18 +31,68 @@ def of_machine(scene: Scene) -> Iterator[str]:
         Of the scenario.
     """
     yield from _of_size(scene)
+    yield from _of_inertia(scene)
+    yield from _of_mount_errors(scene)
     yield from _of_crossed_legs(scene)
     yield from _of_view(scene)
     yield from _of_load(scene)
 
 
 def _of_size(scene: Scene) -> Iterator[str]:
-    """Find metres that were given for millimetres."""
+    """Find metres that were given for millimetres, and millimetres for metres."""
     radius, height = scene.platform_radius, float(np.linalg.norm(scene.home.position))
+    joints = _joint_radius(scene)
     if max(radius, height) < _MICROSCOPIC:
         yield (
             f"robot: a platform of {quantity(radius, 'm')} radius, {quantity(height, 'm')} from the base at home, is "
             "very small; are its numbers in the unit that is asked for (metres in a file, mm in `hexservo new`)?"
+        )
+    if height > _FAR * joints:
+        yield (
+            f"robot.home_position: {quantity(height, 'm')} from the base is more than {_FAR:.0f} times the "
+            f"{quantity(joints, 'm')} from the middle to the joints; lengths are in metres: in mm it would be "
+            f"{quantity(height / 1e3, 'm')}"
+        )
+    elif max(joints, height) > _GIGANTIC:
+        yield (
+            f"robot: joints {quantity(joints, 'm')} from the middle, with home {quantity(height, 'm')} from the base, "
+            f"are a very large machine; lengths are in metres: in mm these would be {quantity(joints / 1e3, 'm')} and "
+            f"{quantity(height / 1e3, 'm')}"
+        )
+
+
+def _joint_radius(scene: Scene) -> float:
+    """Return the largest distance of a joint from the origin of its body, of base and platform [m]."""
+    base = np.linalg.norm(np.asarray(scene.hexapod.base_joints), axis=1).max()
+    return max(scene.platform_radius, float(base))
+
+
+def _of_inertia(scene: Scene) -> Iterator[str]:
+    """Find lengths and moments of inertia in units that do not belong together."""
+    body, radius = scene.body, scene.platform_radius
+    smallest = float(np.linalg.eigvalsh(np.asarray(body.inertia)).min())
+    gyration = float(np.sqrt(max(smallest, 0.0) / body.mass))
+    if gyration < _COMPACT * radius:
+        yield (
+            f"robot.inertia: {number(smallest)} kg m^2 with {number(body.mass)} kg is a radius of gyration of "
+            f"{quantity(gyration, 'm')}, less than {_COMPACT:.1%} of the platform's radius, {quantity(radius, 'm')}; "
+            "lengths are in metres, masses in kg, moments of inertia in kg m^2"
+        )
+
+
+def _of_mount_errors(scene: Scene) -> Iterator[str]:
+    """Find errors of the hand-eye calibration in degrees or millimetres."""
+    error, joints = scene.scenario.uncertainty.mount, _joint_radius(scene)
+    turn, shift = (float(np.linalg.norm(vector)) for vector in (error.rotation, error.position))
+    if turn > _TURNED:
+        yield (
+            f"uncertainty.mount.rotation: {number(turn)} rad is an error of {number(np.rad2deg(turn))} degrees; "
+            f"rotations are in rad: 1 degree is {number(np.deg2rad(1.0))} rad"
+        )
+    if shift > joints:
+        yield (
+            f"uncertainty.mount.position: {quantity(shift, 'm')} is more than the {quantity(joints, 'm')} from the "
+            f"middle to the joints; lengths are in metres: in mm it would be {quantity(shift / 1e3, 'm')}"
         )
 
 

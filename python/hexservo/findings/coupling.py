@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.linalg import expm
 
 from hexservo import _core
 from hexservo.findings.analysis.goal import SHOWN
@@ -79,6 +78,8 @@ def _errors(
 
     In units in which the diagonal of the inertia is 1: `friction` is K_d, `adaptation` A.
     """
+    from scipy.linalg import expm  # here, since commands that only check wait for the import longer than for the rest
+
     size = len(mass)
     zero, one = np.zeros_like(mass), np.eye(size)
     rate = 1.0 / (2.0 * damping)  # Lambda

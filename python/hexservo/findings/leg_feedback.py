@@ -7,8 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import expm
-from scipy.optimize import brentq
 
 from hexservo import _core
 from hexservo.scenario.arrays import Array
@@ -132,6 +130,8 @@ class _Leg:
 
 
 def _leg(scenario: Scenario) -> _Leg:
+    from scipy.linalg import expm  # here, since a check of most scenarios does without the import
+
     require_scenario(scenario)
     actuators, period = scenario.actuators, scenario.simulation.step
     if not actuators.takes_positions:
@@ -158,6 +158,7 @@ def _least_gain(loop: Callable[[Array], Array], slowest: float) -> float:
     slowest
         Of the rates in it [1/period].
     """
+    from scipy.optimize import brentq
 
     def value(angle: float) -> complex:
         return complex(loop(np.array([angle]))[0])

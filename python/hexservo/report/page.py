@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hexservo.findings.check import unlikely
 from hexservo.findings.evidence import Column, Section, Table
 from hexservo.findings.sections import Group, groups
 from hexservo.report.documentation import is_page, page_html
@@ -88,10 +89,17 @@ def _part(anchor: str, title: str, content: Html) -> Html:
 
 
 def _summary(result: Result, found: list[Group]) -> Html:
-    """Summarise the run, then each section's verdict and most important finding, the worst verdicts first."""
+    """Summarise the run, then warnings about its scenario, then each section's verdict and most important finding.
+
+    The worst verdicts are first.
+    """
     sections = [(group, section) for group in found for section in group.sections]
     sections.sort(key=lambda pair: (_WORST_FIRST.index(pair[1].verdict), pair[0].source.name != "diagnose"))
-    rows = [
+    doubts = [
+        element("li", badge("warning"), " ", element("a", "Scenario", href="#scenario"), f": {sentence}")
+        for sentence in unlikely(result.scenario, by_law=result.by_law)
+    ]
+    rows = doubts + [
         element(
             "li",
             badge(section.verdict),

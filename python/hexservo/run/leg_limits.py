@@ -55,6 +55,7 @@ class LimitUse:
         value = f"{peak} {unit}"
         return {
             "stroke": f"takes a leg {value} from the middle of its travel, beyond its stroke",
+            "force": f"takes a {self.limit.of_leg} of {value}, beyond the limit",
             "speed": f"moves a leg at {value}, beyond its speed limit",
             "base_joint": f"tilts a leg by {value} at the base, beyond its joint limit",
             "platform_joint": f"tilts a leg by {value} at the platform, beyond its joint limit",
@@ -89,6 +90,13 @@ def leg_limits(scenario: Scenario) -> tuple[LegLimit, ...]:
 def limits_of_motion(scenario: Scenario) -> tuple[LegLimit, ...]:
     """Return those that a motion may not exceed: all but that of the efforts, which `actuators.saturation` enforces."""
     return tuple(limit for limit in leg_limits(scenario) if limit.kind != "force")
+
+
+def overload(scenario: Scenario, metrics: Mapping[str, float]) -> LimitUse | None:
+    """Return the limit of the efforts where a run takes more, None where it does not; metrics as for `most_used`."""
+    (limit,) = (limit for limit in leg_limits(scenario) if limit.kind == "force")
+    peak = float(metrics[limit.metric])
+    return LimitUse(limit, peak) if peak > limit.value else None
 
 
 def exceeded_limits(scenario: Scenario, metrics: Mapping[str, float]) -> tuple[LegLimit, ...]:

@@ -19,7 +19,7 @@ from hexservo.findings.analysis.scene import AT_HOME, WIDER, Scene, scene_of
 from hexservo.findings.analysis.tried import ROUNDS, bordering, quarters
 from hexservo.findings.part import Part
 from hexservo.run.batch import metrics_of, simulate_batch, whole
-from hexservo.run.leg_limits import LimitUse, most_used
+from hexservo.run.leg_limits import LimitUse, most_used, overload
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.laws import LAWS, laws_with
@@ -50,6 +50,7 @@ class Direction:
     # By size, of those that fail for a limit of the legs alone: the image error settles, or the run was stopped there
     beyond: dict[float, LimitUse]
     error: float  # [px], largest |xi_d - xi| at the start for the size `settles_to`, NaN for none
+    overloads: dict[float, LimitUse]  # by size, of those that settle with forces beyond the legs' limit
 
     @property
     def settles_to(self) -> float:
@@ -67,6 +68,11 @@ class Direction:
         return min(self.beyond, default=None)
 
     @property
+    def overloaded_from(self) -> float | None:
+        """Smallest size that settles with forces beyond the legs' limit, up to `settles_to`; None where none does."""
+        return first_overload(self.overloads, self.settles_to)
+
+    @property
     def settles_again(self) -> bool:
         """Whether a larger size than the smallest that fails settles: the border is not the only one."""
         failed = self.fails_at
@@ -82,6 +88,7 @@ class Timing:
     other: float  # [s], the one that is held
     tried: Tried  # by time [s]
     beyond: dict[float, LimitUse]  # by time [s], of those that fail for a leg beyond a limit alone
+    overloads: dict[float, LimitUse]  # by time [s], of those that settle with forces beyond the legs' limit
 
     @property
     def settles_to(self) -> float | None:
@@ -92,6 +99,11 @@ class Timing:
     def fails_at(self) -> float | None:
         """Smallest time [s] that was seen to fail; None where none was."""
         return border(self.tried)[1]
+
+    @property
+    def overloaded_from(self) -> float | None:
+        """Smallest time [s] that settles with forces beyond the legs' limit, up to `settles_to`; None for none."""
+        return None if self.settles_to is None else first_overload(self.overloads, self.settles_to)
 
     @property
     def limited_by(self) -> str | None:
@@ -128,6 +140,14 @@ def border(tried: Mapping[float, bool]) -> tuple[float, float | None]:
     """Return the largest size below the smallest that fails, and that one: (0, ...) for none, (..., None) for none."""
     good, failed = bordering(tried)
     return good or 0.0, failed
+
+
+def first_overload(overloads: Mapping[float, LimitUse], settles_to: float) -> float | None:
+    """Return the smallest size or time with forces beyond the legs' limit, up to the border; None where there is none.
+
+    The runs do not limit forces unless `actuators.saturation` does, so that such a run settles all the same.
+    """
+    return min((size for size in overloads if size <= settles_to), default=None)
 
 
 def analyse(scenario: Scenario) -> LargestStart:
@@ -173,6 +193,7 @@ class _Ends:
     settled: Mask  # in the image, with all legs within their limits all the way
     times: Array  # [s], settling time of the image error; NaN: none
     beyond: list[LimitUse | None]  # the limit that is exceeded most, where a run fails for the legs' limits alone
+    overloads: list[LimitUse | None]  # the limit of the efforts, where a run settles with more
     ran: Mask  # False: refused by the core
 
 
@@ -208,6 +229,7 @@ class _Trial:
         settled, ran = np.zeros(count, dtype=bool), np.ones(count, dtype=bool)
         times = np.full(count, np.nan)
         beyond: list[LimitUse | None] = [None] * count
+        overloads: list[LimitUse | None] = [None] * count
         while ran.any():
             rows = np.flatnonzero(ran)
             try:
@@ -223,13 +245,15 @@ class _Trial:
             times[rows] = batch.metrics["settling_time"]
             in_image = (batch.outcome == "completed") & np.isfinite(times[rows])
             for k, row in enumerate(rows):
-                use = most_used(base, metrics_of(batch, k))
+                found = metrics_of(batch, k)
+                use = most_used(base, found)
                 if batch.outcome[k] == "leg_limit" or (in_image[k] and use.share > 1.0):
                     beyond[row] = use
                 else:
                     settled[row] = in_image[k]
+                    overloads[row] = overload(base, found) if in_image[k] else None
             break
-        return _Ends(settled, times, beyond, ran)
+        return _Ends(settled, times, beyond, overloads, ran)
 
 
 def _whole(duration: float, step: float) -> float:
@@ -244,7 +268,15 @@ def _directions(scene: Scene, trial: _Trial) -> tuple[Direction, ...]:
     """Try goals along the task's own way, the axes and the rotations, all in one batch per round."""
     ways = [
         Direction(
-            name, unit, *_largest(scene, unit), tried={}, settling={}, settles_later=None, beyond={}, error=np.nan
+            name,
+            unit,
+            *_largest(scene, unit),
+            tried={},
+            settling={},
+            settles_later=None,
+            beyond={},
+            error=np.nan,
+            overloads={},
         )
         for name, unit in _units(scene)
     ]
@@ -264,6 +296,8 @@ def _directions(scene: Scene, trial: _Trial) -> tuple[Direction, ...]:
             way.tried[size] = bool(ends.settled[k])
             if (use := ends.beyond[k]) is not None:
                 way.beyond[size] = use
+            if (more := ends.overloads[k]) is not None:
+                way.overloads[size] = more
             if ends.settled[k]:
                 way.settling[size] = float(ends.times[k])
 
@@ -377,11 +411,12 @@ def _timings(scenario: Scenario, trial: _Trial) -> tuple[tuple[Timing, ...], str
     return tuple(found), assumed
 
 
-def _times(base: Scenario, what: str, trial: _Trial) -> tuple[Tried, dict[float, LimitUse]]:
+def _times(base: Scenario, what: str, trial: _Trial) -> tuple[Tried, dict[float, LimitUse], dict[float, LimitUse]]:
     """Try one time of the camera: a grid, then between the last that settles and the first that fails, in ticks."""
     step = base.simulation.step
     tried: dict[int, bool] = {}
     beyond: dict[float, LimitUse] = {}
+    overloads: dict[float, LimitUse] = {}
 
     def run(ticks: list[int]) -> None:
         new = sorted(set(ticks) - set(tried))
@@ -392,6 +427,8 @@ def _times(base: Scenario, what: str, trial: _Trial) -> tuple[Tried, dict[float,
                     tried[tick] = bool(ends.settled[k])
                 if (use := ends.beyond[k]) is not None:
                     beyond[tick * step] = use
+                if (more := ends.overloads[k]) is not None:
+                    overloads[tick * step] = more
 
     # A run of less than two periods shows nothing of them, and one shorter than the latency has no image.
     longest = base.simulation.duration / (2.0 if what == "period" else 1.0)
@@ -399,4 +436,4 @@ def _times(base: Scenario, what: str, trial: _Trial) -> tuple[Tried, dict[float,
     run(shown if what == "period" else [0, *shown])
     for _ in range(ROUNDS):
         run(quarters(tried))
-    return {tick * step: good for tick, good in tried.items()}, beyond
+    return {tick * step: good for tick, good in tried.items()}, beyond, overloads

@@ -14,6 +14,8 @@ from hexservo.scenario.laws import LAWS
 
 PAGE = "docs/analysis/largest_start.md"
 
+_MARGIN = 1.25  # times the task, that settles with forces that the legs have, for a good verdict
+_WITHIN = "the stroke, speed and joint limits of the legs"
 
 _LIMITING = {
     "error": "image error",
@@ -47,7 +49,8 @@ def _verdict(found: LargestStart) -> Verdict:
         return "open"
     if not own.tried.get(1.0, False):
         return "bad"
-    return "warning" if own.fails_at is not None and own.fails_at < 1.25 else "good"
+    ends = [size for size in (own.fails_at, own.overloaded_from) if size is not None]
+    return "warning" if ends and min(ends) < _MARGIN else "good"
 
 
 def _sentences(found: LargestStart) -> list[str]:
@@ -59,9 +62,9 @@ def _sentences(found: LargestStart) -> list[str]:
         words.append("No pose within the region searched has the goal image: the direction of the task was not tried.")
     elif own.fails_at is None:
         words.append(
-            f"In all runs in the direction of the task the error settles within {found.duration:g} s and the "
-            f"limits of the legs, up to {own.largest:.3g} times the task "
-            f"({_amount(own, own.largest)}), the largest that {_LIMITS[own.limited_by]} (empirical)."
+            f"In all runs in the direction of the task the error settles within {found.duration:g} s and {_WITHIN}, "
+            f"up to {own.largest:.3g} times the task ({_amount(own, own.largest)}), "
+            f"the largest that {_LIMITS[own.limited_by]} (empirical)."
         )
     elif own.settles_to == 0.0:
         words.append(
@@ -71,15 +74,14 @@ def _sentences(found: LargestStart) -> list[str]:
         )
     else:
         words.append(
-            f"In the direction of the task errors settle within {found.duration:g} s and the limits of the legs up to "
-            f"{own.settles_to:.3g} times "
-            f"the task ({_amount(own, own.settles_to)}, {own.error:.3g} px); {own.fails_at:.3g} times "
+            f"In the direction of the task errors settle within {found.duration:g} s and {_WITHIN} up to "
+            f"{own.settles_to:.3g} times the task ({_amount(own, own.settles_to)}, {own.error:.3g} px); "
+            f"{own.fails_at:.3g} times "
             f"{_failure(found, own)} (empirical)."
         )
     words.append(_others(found))
-    words += _timing_words(found) or [
-        f"{_task(found)} does not settle within the limits of the legs: camera times were not tried."
-    ]
+    words += _timing_words(found) or [f"{_task(found)} does not settle within {_WITHIN}: camera times were not tried."]
+    words += _force_words(found)
     again = [d.name for d in found.directions if d.settles_again]
     words.append(
         f"All of this is from {found.runs} runs of {found.duration:g} s, not derived: sizes between those "
@@ -95,8 +97,7 @@ def _others(found: LargestStart) -> str:
     if not failing:
         return (
             f"Along all {len(others)} axes and rotations every goal tried settles within {found.duration:g} s and "
-            "the limits of the legs, up to "
-            "those limits, or those of the camera or of the region searched."
+            f"{_WITHIN}, up to those limits, or those of the camera or of the region searched."
         )
     worst = min(failing, key=lambda d: d.settles_to / d.largest)
     settles, fails = border_words(worst)
@@ -107,6 +108,41 @@ def _others(found: LargestStart) -> str:
         + f", {fails} {_failure(found, worst)}, of "
         f"{_amount(worst, worst.largest)} that were possible."
     )
+
+
+def _force_words(found: LargestStart) -> list[str]:
+    """Return what settles with forces that the legs do not have: the runs limit them with `actuators.saturation` only.
+
+    Larger sizes than the smallest that fails are left out.
+    """
+    places, own = [], found.own
+    if own is not None and (size := own.overloaded_from) is not None:
+        uses = [use for each, use in own.overloads.items() if each <= own.settles_to]
+        most = max(uses, key=lambda use: use.peak)
+        places.append(
+            f"in the direction of the task from {size:.3g} times the task on ({_amount(own, size)}), "
+            f"the worst of which {most.excess}"
+        )
+    others = [d for d in found.directions if d.name != "own"]
+    if count := sum(d.overloaded_from is not None for d in others):
+        places.append(f"along {count} of {len(others)} axes and rotations")
+    places += [
+        f"with a camera {t.what} from {1e3 * time:.4g} ms on, {_prediction(found, t.prediction)}"
+        for t in found.timings
+        if (time := t.overloaded_from) is not None
+    ]
+    if not places:
+        return []
+    head = (
+        "Forces or torques of the legs are not limited in these runs, and some that settle need more than the legs have"
+    )
+    return [f"{head}: {'; '.join(places)}."]
+
+
+def _prediction(found: LargestStart, prediction: str) -> str:
+    if found.law not in LAWS:
+        return "with the target predicted by the law"
+    return "without prediction" if prediction == "none" else "with prediction by the encoders"
 
 
 def _failure(found: LargestStart, direction: Direction) -> str:
@@ -135,10 +171,7 @@ def _timing_words(found: LargestStart) -> list[str]:
                     f"a {t.what} of {1e3 * t.settles_to:.4g} ms settles {held} and {1e3 * t.fails_at:.4g} ms "
                     + _timing_failure(t)
                 )
-        how = "without prediction" if prediction == "none" else "with prediction by the encoders"
-        if found.law not in LAWS:
-            how = "with the target predicted by the law"
-        words.append(f"{_task(found)} {found.assumed}{how}: {'; '.join(parts)}.")
+        words.append(f"{_task(found)} {found.assumed}{_prediction(found, prediction)}: {'; '.join(parts)}.")
     return words
 
 
@@ -174,10 +207,15 @@ def _items(found: LargestStart) -> list[Item]:
                 Column("fails by the legs' limits alone from"),
                 lambda d: None if d.beyond_limits is None else _amount(d, d.beyond_limits),
             ),
+            (
+                Column("settles with forces beyond the limit from"),
+                lambda d: None if d.overloaded_from is None else _amount(d, d.overloaded_from),
+            ),
             (Column("runs", "", "d"), lambda d: len(d.tried)),
         ],
         note=f"Settles: the run of {found.duration:g} s completes, stays within {found.band:g} px for its last "
-        f"{found.dwell:g} s and keeps all legs within their limits; one that is only slow fails, and one that "
+        f"{found.dwell:g} s and keeps all legs within their stroke, speed and joint limits; "
+        f"one that is only slow fails, and one that "
         f"starts within {found.band:g} px needs no motion. The border lies between two sizes that were run.",
         page=PAGE,
     )
@@ -194,6 +232,10 @@ def _items(found: LargestStart) -> list[Item]:
                     (Column("settles up to", "ms", ".4g"), lambda t: _milli(t.settles_to)),
                     (Column("smallest that fails", "ms", ".4g"), lambda t: _milli(t.fails_at)),
                     (Column("limited by"), lambda t: None if t.limited_by is None else _LIMITING[t.limited_by]),
+                    (
+                        Column("settles with forces beyond the limit from", "ms", ".4g"),
+                        lambda t: _milli(t.overloaded_from),
+                    ),
                     (Column("runs", "", "d"), lambda t: len(t.tried)),
                 ],
                 note="One seed where there is noise.",
@@ -231,6 +273,7 @@ def _data(found: LargestStart) -> dict[str, Any]:
                 **picked(d, "name unit settles_to fails_at settles_later settles_again largest limited_by"),
                 "image_error": d.error,
                 "beyond_limits": d.beyond_limits,
+                "overloaded_from": d.overloaded_from,
                 "sizes": sorted(d.tried),
                 "settled": [d.tried[size] for size in sorted(d.tried)],
             }
@@ -238,7 +281,7 @@ def _data(found: LargestStart) -> dict[str, Any]:
         ],
         "timings": [
             {
-                **picked(t, "what prediction other settles_to fails_at limited_by"),
+                **picked(t, "what prediction other settles_to fails_at limited_by overloaded_from"),
                 "times": sorted(t.tried),
                 "settled": [t.tried[time] for time in sorted(t.tried)],
             }
