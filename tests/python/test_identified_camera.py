@@ -16,8 +16,15 @@ from hexservo.findings.evidence import Table
 from hexservo.findings.identification.changes import changes_of, faults_of, of_law
 from hexservo.findings.identification.drives import fit_drives
 from hexservo.findings.identification.frame_clock import clock
-from hexservo.findings.identification.frames import CameraFit, _repeats, fit_camera
-from hexservo.findings.identification.frames_noise import joint_deviations, overstated, scatter_of, spline_shares
+from hexservo.findings.identification.frames import CameraFit, _of_one_speed, _repeats, fit_camera
+from hexservo.findings.identification.frames_noise import (
+    Scatter,
+    joint_deviations,
+    moved_by,
+    overstated,
+    scatter_of,
+    spline_shares,
+)
 from hexservo.findings.identification.interval import Interval, deviations, robust_deviations
 from hexservo.findings.identification.log import Frames, Log
 from recorded_machines import Drive, record, see
@@ -131,8 +138,8 @@ def test_the_noise_of_joints_is_found_from_their_readings() -> None:
     deviations = 1e-5 * np.arange(1.0, 7.0)
     joints = motion + deviations * random.normal(size=motion.shape)
     log = Log(0.01 * np.arange(2000.0), 0.01, motion, joints, None)
-    np.testing.assert_allclose(joint_deviations(log), deviations, rtol=0.15)
-    assert (joint_deviations(replace(log, joints=motion)) < 1e-7).all()
+    np.testing.assert_allclose(joint_deviations(log.joints), deviations, rtol=0.15)
+    assert (joint_deviations(motion) < 1e-7).all()
 
 
 def test_motion_that_is_fast_for_the_ticks_is_no_noise_of_joints(paper: hs.Scenario) -> None:
@@ -153,21 +160,77 @@ def test_motion_that_is_fast_for_the_ticks_is_no_noise_of_joints(paper: hs.Scena
         assert camera.section().verdict == "warning"
 
 
+def log_with_few_ticks(
+    scenario: hs.Scenario, rate: float, bandwidth: float, *, seed: int, jitter: float = 0.0, size: float = 2e-3
+) -> Log:
+    """12 s of drives without noise, seen as they move between ticks: 0.2 px, a latency of 50 ms, no exposure times."""
+    random, finer = np.random.default_rng(seed), 10
+    commands = np.repeat(commands_of(scenario, random, round(12 * rate), 1 / rate, size), finer, axis=0)
+    fine = record(commands, 1 / rate / finer, [Drive(bandwidth, 0.8, finer)] * 6, 0.0, random)
+    exposure: Array = 0.313 + np.arange(345) / 30.0
+    arrival = np.maximum.accumulate(exposure + 0.05 + jitter * random.random(len(exposure)))
+    frames = see(scenario, CubicSpline(fine.time, fine.joints)(exposure), exposure, arrival, 0.2, random)
+    ticks = slice(None, None, finer)
+    return Log(fine.time[ticks], 1 / rate, commands[ticks], fine.joints[ticks], Frames(frames.features, arrival, None))
+
+
+@pytest.mark.parametrize(("rate", "bandwidth"), [(30.0, 6.0), (50.0, 10.0)])
+def test_motion_between_few_ticks_is_no_jitter(paper: hs.Scenario, rate: float, bandwidth: float) -> None:
+    """The fitted drives tell how the joints move there; without these, the log does not tell."""
+    log = log_with_few_ticks(paper, rate, bandwidth, seed=3)
+    by_drives = fit_camera(log, Scene(paper), fit_drives(log, METRES, delays=(1,)))
+    assert by_drives.jitter is None
+    assert within(by_drives.latency, 0.05)
+    assert within(by_drives.noise, 0.2)
+    assert by_drives.section().verdict == "good"
+    alone = fit_camera(log, Scene(paper))
+    assert alone.jitter is not None
+    assert not alone.jitter_is_known
+    section = alone.section()
+    assert section.verdict == "warning"
+    words = " ".join(section.sentences)
+    assert "as of motion of the joints between ticks that are long for it, or of frames that arrive later" in words
+    assert "Record exposure times, or more ticks a second. The key `camera.latency_jitter` is left" in words
+
+
+def test_motion_between_few_ticks_widens_the_latency(paper: hs.Scenario) -> None:
+    """A spline of readings at 50 ticks a second is 0.4 ms late of drives of 10 Hz."""
+    camera = fit_camera(log_with_few_ticks(paper, 50.0, 10.0, seed=3), Scene(paper))
+    assert camera.latency is not None
+    assert abs(camera.latency.value - 0.05) > 2e-4
+    assert within(camera.latency, 0.05)
+
+
+def test_jitter_as_long_as_a_motion_is_that_of_its_mean_speed(paper: hs.Scenario) -> None:
+    """A frame that is taken before a jump, or after, has no speed when the usual one is taken."""
+    log = log_with_few_ticks(paper, 50.0, 7.88, seed=3, jitter=0.02, size=1e-3)
+    camera = fit_camera(log, Scene(paper), fit_drives(log, METRES, delays=(1,)))
+    assert camera.jitter_is_known
+    assert camera.jitter == pytest.approx(0.02, rel=0.4)
+
+
+def test_a_scatter_that_agrees_with_no_speed_is_not_known() -> None:
+    noise = Interval(0.2, 0.19, 0.21)
+
+    def of(*jitters: float | None) -> Scatter:
+        ahead = iter(jitters)
+        return _of_one_speed(lambda _: Scatter(noise, next(ahead), 0.0), np.zeros((1, 8)), lambda _: np.zeros((1, 8)))
+
+    assert of(None) == Scatter(noise, None, 0.0)
+    assert of(0.05, 0.021, 0.02) == Scatter(noise, 0.02, 0.0)
+    assert of(0.05, None) == Scatter(noise, 0.05, 0.0, of_ticks=True)
+    assert of(0.05, 0.01, 0.05, 0.01, 0.05).of_ticks
+
+
 @pytest.mark.slow
-def test_a_log_with_few_ticks_gives_no_noise_that_the_camera_does_not_have(paper: hs.Scenario) -> None:
-    """Of drives of 10 Hz at 30 ticks a second, and readings without noise."""
-    random, period, finer = np.random.default_rng(SEED), 1.0 / 30.0, 10
-    commands = np.repeat(commands_of(paper, random, 300, period, 2e-3), finer, axis=0)
-    fine = record(commands, period / finer, [Drive(10.0, 0.8, finer)] * 6, 0.0, random)
-    exposure = 0.313 + period * np.arange(250.0)
-    legs = CubicSpline(fine.time, fine.joints)(exposure)
-    frames = replace(see(paper, legs, exposure, np.asarray(exposure + 0.05), 0.2, random), exposure=None)
-    log = Log(fine.time[::finer], period, commands[::finer], fine.joints[::finer], frames)
+def test_a_log_with_few_ticks_gives_the_keys_of_the_camera(paper: hs.Scenario) -> None:
+    log = log_with_few_ticks(paper, 50.0, 10.0, seed=3)
     found = hs.identify(log, paper.updated({"simulation.mode": "sampled", "simulation.step": 0.01}))
     assert found.camera is not None
-    assert found.camera.ticks_are_coarse
-    assert found.camera.noise is None
-    assert "camera.noise" not in found.changes
+    assert found.camera.section().verdict == "good"
+    assert found.changes["camera.noise"] == pytest.approx(0.2, rel=0.1)
+    assert found.changes["camera.latency_jitter"] == 0.0
+    assert found.changes["camera.latency"] in (0.04, 0.06)  # whole ticks
 
 
 def test_a_spline_has_less_noise_between_two_ticks() -> None:
@@ -225,6 +288,13 @@ def test_a_shift_of_noisy_readings_is_known_less_well() -> None:
     assert overstated(slopes, 25.0) == np.inf
 
 
+def test_an_image_moves_a_shift_as_least_squares_does() -> None:
+    random = np.random.default_rng(SEED)
+    slopes, image = random.normal(size=(40, 3)), random.normal(size=40)
+    assert moved_by(slopes, image) == pytest.approx(np.linalg.lstsq(slopes, image)[0][0])
+    assert moved_by(np.zeros((40, 3)), image) == np.inf
+
+
 def test_what_is_no_noise_of_the_camera_is_no_key(paper: hs.Scenario) -> None:
     """Nor is it jitter; the latency is that found less half of the jitter that was given."""
     log = seen_log(paper, 0.05, stamps=None)
@@ -238,6 +308,10 @@ def test_what_is_no_noise_of_the_camera_is_no_key(paper: hs.Scenario) -> None:
     assert "camera.noise" in changes
     for doubtful, reasons in (
         (replace(known, of_joints=0.7), ("joints explains 70 %", "as of the noise of the joints, or of frames")),
+        (
+            replace(known, of_joints=0.2, ticks_are_coarse=True),
+            ("Motion of the joints between ticks that are long for it may explain 20 %", "as of motion of the joints"),
+        ),
         (replace(known, correlated=7.0), ("correlated", "as of a wrong calibration, or of frames")),
     ):
         changes = changes_of(log, given, drives, doubtful)

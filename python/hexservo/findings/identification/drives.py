@@ -40,6 +40,8 @@ _TRIED = 3  # delays that are fitted of those that start best
 _WHITE = 1.3  # ticks over which residuals of a fit that found the true drive are correlated, at most
 _STARTS = 4  # from which a fit is tried again whose residuals are correlated further
 _WORTH = 10.0  # of the criterion by Bayes: what a limit must gain to count
+_FINER = 8  # steps in a tick that the response is given for, of a log that is not long
+_MOST_STEPS = 400_000  # of these
 
 
 @dataclass(frozen=True)
@@ -78,6 +80,7 @@ class Drives(Part):
     time: Array = field(repr=False)  # (k,) of the part kept apart, thinned [s]
     measured: Array = field(repr=False)  # (k, 6)
     predicted: Array = field(repr=False)  # (k, 6)
+    finely: Array = field(repr=False)  # (n f, 6) predicted from the first tick on, at f equal steps in each tick
 
     @property
     def moved(self) -> list[DriveFit]:
@@ -136,8 +139,8 @@ class _Record:
         left = self.joints[apart] - predicted[apart]
         return 1.0 - float(np.mean(left**2)) / float(np.var(self.joints[apart]))
 
-    def response(self, delay: int, values: Array, ticks: int | None = None) -> Array:
-        """Return the coordinate at each tick, (n,), or at the first ones alone.
+    def response(self, delay: int, values: Array, ticks: int | None = None, finer: int = 1) -> Array:
+        """Return the coordinate at each tick, (n,), or at the first ones alone, or at `finer` steps in each tick.
 
         The values are bandwidth, damping, speed and acceleration limit; place and rate at the first tick; the command
         that was given before it.
@@ -145,7 +148,9 @@ class _Record:
         bandwidth, damping, speed, acceleration, place, rate, before = values
         count = len(self.commands) if ticks is None else ticks
         commands = np.concatenate([np.full(delay, before), self.commands[: max(0, count - delay)]])[:count]
-        return _core.drive_response(commands, place, rate, self.period, bandwidth, damping, speed, acceleration)
+        return _core.drive_response(
+            np.repeat(commands, finer), place, rate, self.period / finer, bandwidth, damping, speed, acceleration
+        )
 
 
 def fit_drives(
@@ -173,7 +178,8 @@ def fit_drives(
             report(leg + 1, 6)
     _compare_legs(records, found)
     described = [_described(record, leg + 1, found[leg]) for leg, record in enumerate(records)]
-    predicted = np.stack([prediction for _, prediction in described], axis=1)
+    finely = np.stack([prediction for _, prediction in described], axis=1)
+    predicted = finely[:: len(finely) // len(log.time)]
     shown = slice(fitted, None, max(1, (len(log.time) - fitted) // 500))
     return Drives(
         fits=tuple(fit for fit, _ in described),
@@ -184,6 +190,7 @@ def fit_drives(
         time=log.time[shown],
         measured=log.joints[shown],
         predicted=predicted[shown],
+        finely=finely,
     )
 
 
@@ -240,9 +247,10 @@ def _compare_legs(records: Sequence[_Record], found: Sequence[list[_Model]]) -> 
 
 
 def _described(record: _Record, leg: int, models: Sequence[_Model]) -> tuple[DriveFit, Array]:
-    """Return what the best model states, and what it predicts at all ticks."""
+    """Return what the best model states, and what it predicts at equal steps in all ticks."""
+    finer = int(np.clip(_MOST_STEPS // len(record.joints), 1, _FINER))
     if not models:
-        still = np.full_like(record.joints, record.joints[: record.fitted].mean())
+        still = np.full(finer * len(record.joints), record.joints[: record.fitted].mean())
         return DriveFit(leg, None, None, None, None, None, 0.0, scatter(record.joints), 1.0, None), still
     best = _best(models)
     alike = _alike(best, models)
@@ -267,7 +275,7 @@ def _described(record: _Record, leg: int, models: Sequence[_Model]) -> tuple[Dri
             rests=record.rests,
             at_edge=best.at_edge,
         ),
-        predicted,
+        record.response(best.delay, best.values, finer=finer),
     )
 
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 
 from hexservo import _core
@@ -20,14 +19,18 @@ from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.identification.drives import Drives
 from hexservo.findings.identification.frame_clock import clock
 from hexservo.findings.identification.frames_noise import (
+    Scatter,
+    agree,
     image_of_noise,
     is_motion,
     joint_deviations,
+    moved_by,
     overstated,
     scatter_of,
     spline_shares,
 )
 from hexservo.findings.identification.interval import Interval, correlated, half_width, robust_deviations
+from hexservo.findings.identification.joint_motion import JointMotion
 from hexservo.findings.identification.log import FITTED, LEAST_EXPLAINED, Frames, Log, leg_moves
 from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array, Mask
@@ -44,6 +47,9 @@ _RARE = 0.01  # share of the frames at either end of the latencies from which ji
 _SAME = 1e-9  # times that differ by less are the same [s]
 _WHITE = 2.0  # frames over which what a fit with the true calibration leaves is correlated, at most
 _MOST_OF_JOINTS = 0.5  # share of what a fit leaves that the joints' noise may explain, for the rest to be of a camera
+_MOST_OF_MOTION = 0.1  # the same of their motion between ticks, whose part is not known as that of noise is
+_BETWEEN = 0.5  # share of what an image by every second tick is off by that one by all ticks may be, at most
+_SPEEDS = 4  # rounds in which the speed of the image is that over the jitter found
 _BY_ITSELF = 0.05  # of the frames that are equal to the one before: more are equal since the image is rounded, or rests
 _CLEAR = 5.0  # resolutions of the image, or deviations of the joints' noise, from which on there is motion
 _APPARENT = 3.0  # [px]: what a displaced target moves the image by from which on the scenario does not see alike
@@ -78,6 +84,7 @@ class CameraFit(Part):
     target_pixels: float = 0.0  # what the target's displacement moves the image by, RMS of a coordinate [px]
     of_joints: float = 0.0  # share of what the fit leaves across the motion that the noise of the joints explains
     ticks_are_coarse: bool = False  # that noise is motion of the joints between ticks
+    jitter_of_ticks: bool = False  # the jitter may be motion of the joints between ticks
     open: str = ""  # why nothing was found; empty if something was
 
     @property
@@ -93,12 +100,13 @@ class CameraFit(Part):
     @property
     def noise_is_of_camera(self) -> bool:
         """Whether what the fit leaves is more than the noise of the joints that the image is predicted from."""
-        return self.of_joints <= _MOST_OF_JOINTS
+        return self.of_joints <= (_MOST_OF_MOTION if self.ticks_are_coarse else _MOST_OF_JOINTS)
 
     @property
     def jitter_is_known(self) -> bool:
         """Whether exposure times tell the scatter of the latency, or else images that are off by noise alone."""
-        return self.stamps is not None or (self.noise_is_white and self.noise_is_of_camera)
+        by_noise_alone = self.noise_is_white and self.noise_is_of_camera and not self.jitter_of_ticks
+        return self.stamps is not None or by_noise_alone
 
     @property
     def target_is_apparent(self) -> bool:
@@ -132,7 +140,7 @@ def fit_camera(log: Log, scene: Scene, drives: Drives | None = None) -> CameraFi
     scene
         Of the machine: legs, camera and target.
     drives
-        Of the same log, which tell noise of the joints from motion that is fast for the ticks; None: it is noise.
+        Of the same log, which tell how the joints move between ticks; None: as a spline.
     """
     frames = log.frames
     count = 0 if frames is None else len(frames.arrival)
@@ -149,8 +157,9 @@ def fit_camera(log: Log, scene: Scene, drives: Drives | None = None) -> CameraFi
             return CameraFit(count, open=f"expected at least {_FEWEST} frames, got {repeated} of {count} repeated")
     stamped = frames.exposure is not None
     period, dropout = clock(frames.arrival if frames.exposure is None else frames.exposure) or (None, None)
-    sight = _Sight.of(log, frames, scene)
-    joint_noise = joint_deviations(log)
+    joints = JointMotion.of(log, drives)
+    sight = _Sight.of(log, frames, scene, joints)
+    joint_noise = joint_deviations(joints.left)
     fit = _fit(sight, log, joint_noise, stamped=stamped)
     if isinstance(fit, str):
         return CameraFit(count, period, dropout, repeated=repeated, open=fit)
@@ -204,7 +213,7 @@ def _movement(log: Log, arrival: Array) -> Callable[[int, int], bool]:
     """Return whether a joint moves beyond its noise from one frame to a later one, in both halves of that time."""
     ticks = np.clip(np.searchsorted(log.time, arrival, side="right") - 1, 0, None)
     joints = log.joints[ticks]
-    noise = np.sqrt(2.0) * joint_deviations(log)  # of the difference of two readings
+    noise = np.sqrt(2.0) * joint_deviations(log.joints)  # of the difference of two readings
 
     def moves(first: int, end: int) -> bool:
         middle = (first + end + 1) // 2
@@ -232,21 +241,20 @@ class _Sight:
     """The image at any time of a log, for any place of the target."""
 
     scene: Scene
-    joints: CubicSpline
+    joints: JointMotion
     features: Array  # (m, 2p) of the pinhole [px]
     times: Array  # (m,) exposures where they are known, else arrivals [s]
     latest: float  # a shift of `times` stays below this [s]
     centre: Array  # (3,) of the target [m]
 
     @classmethod
-    def of(cls, log: Log, frames: Frames, scene: Scene) -> _Sight:
+    def of(cls, log: Log, frames: Frames, scene: Scene, joints: JointMotion) -> _Sight:
         stamped = frames.exposure is not None
         times = frames.arrival if frames.exposure is None else frames.exposure
         margin = MOST_LATENCY if not stamped else MOST_LATENCY / 2
         inside = (times - margin >= log.time[0]) & (times + (margin if stamped else 0.0) <= log.time[-1])
         features = to_features(scene.scenario, frames.features[inside])
-        spline = CubicSpline(log.time, log.joints)
-        return cls(scene, spline, features, times[inside], margin, scene.points.mean(axis=0))
+        return cls(scene, joints, features, times[inside], margin, scene.points.mean(axis=0))
 
     def poses(self, late: float) -> Poses | None:
         """Return where the platform was `late` [s] before the frames' times; None where legs do not fit together."""
@@ -278,6 +286,24 @@ class _Sight:
         turned = poses.moved(np.concatenate([np.zeros(3), -displacement[3:]])).quaternion
         features, depth = self.scene.probe.image(position, turned)
         return np.asarray(features - self.features) if (depth < 0.0).all() else None
+
+    def speed(self, late: float, displacement: Array, width: float) -> Array:
+        """Return the image's mean speed by `late` over a width [s] about it, (m, 2p) [px/s]; 0 without poses."""
+        ends = min(late + width / 2, self.latest), late - width / 2
+        earlier, later = (self.left(end, displacement) for end in ends)
+        if earlier is None or later is None:
+            return np.zeros_like(self.features)
+        return (earlier - later) / (ends[0] - ends[1])
+
+    def between_ticks(self, late: float, displacement: Array) -> Array:
+        """Return what the image may be off by since the motion between ticks is not known, (2, m, 2p) [px].
+
+        It is estimated by images from every second tick, and 0 without poses of these.
+        """
+        usual = self.left(late, displacement)
+        found = [replace(self, joints=joints).left(late, displacement) for joints in self.joints.halved()]
+        differences = [np.zeros_like(self.features) if usual is None or one is None else one - usual for one in found]
+        return _BETWEEN * np.array(differences)
 
 
 def _fit(sight: _Sight, log: Log, joint_noise: Array, *, stamped: bool) -> tuple[Interval, dict[str, Any]] | str:
@@ -324,22 +350,56 @@ def _fit(sight: _Sight, log: Log, joint_noise: Array, *, stamped: bool) -> tuple
     sigma = robust_deviations(jacobian, left.ravel(), fitted, together)
     by_noise = float(of_joints @ spline_shares(log, part.times - fit.x[0] * sight.latest, derivative=1))
     sigma[0] *= overstated(jacobian, by_noise * sight.latest**2)
+    target = fit.x[1:] * unit
+    by_ticks = part.between_ticks(fit.x[0] * sight.latest, target)
+    sigma[0] = np.hypot(sigma[0], max(abs(moved_by(jacobian, image.ravel())) for image in by_ticks))
     shift = _bounded(Interval.around(fit.x[0], float(sigma[0])).times(sight.latest), lowest, sight.latest)
     shares = np.sqrt(spline_shares(log, part.times - shift.value))
     by_joints = shares[:, None, None] * part.by_noise(joint_noise, shift.value)
-    scatter = scatter_of(left, jacobian[:, 0].reshape(left.shape) / sight.latest, by_joints, together)
-    target = fit.x[1:] * unit
+
+    def scatter_by(speed: Array) -> Scatter:
+        return scatter_of(left, speed, by_joints, together, by_ticks)
+
+    at_once = jacobian[:, 0].reshape(left.shape) / sight.latest
+    scatter = _of_one_speed(scatter_by, at_once, lambda width: part.speed(shift.value, target, width))
     undisplaced = part.left(shift.value, np.zeros(_TARGET))
     return shift, {
         "jitter": scatter.jitter,
         "noise": scatter.noise,
         "of_joints": scatter.of_joints,
+        "jitter_of_ticks": scatter.of_ticks,
         "explained": _predicted(sight, log, shift.value, target, fitted),
         "target": target,
         "target_deviations": sigma[1:] * unit,
         "correlated": float(np.median(lasting)),
         "target_pixels": np.inf if undisplaced is None else float(np.sqrt(np.mean((left - undisplaced) ** 2))),
     }
+
+
+def _of_one_speed(scatter_by: Callable[[Array], Scatter], at_once: Array, over: Callable[[float], Array]) -> Scatter:
+    """Return the scatter of an image with its mean speed over the jitter, since a jump begins at any time within it.
+
+    Where none agrees with its own mean speed, the jitter is no other than that of motion between ticks.
+
+    Parameters
+    ----------
+    scatter_by
+        Scatter by the speed of the image, (m, 2p) [px/s].
+    at_once
+        That speed when a frame is taken, (m, 2p) [px/s].
+    over
+        The mean of that speed over a width [s].
+    """
+    found = scatter_by(at_once)
+    for _ in range(_SPEEDS):
+        if found.jitter is None or found.of_ticks:
+            return found
+        before, found = found, scatter_by(over(found.jitter))
+        if found.jitter is None:
+            return replace(before, of_ticks=True)
+        if agree(before.jitter, found.jitter):
+            return found
+    return replace(found, of_ticks=True)
 
 
 def _predicted(sight: _Sight, log: Log, late: float, displacement: Array, fitted: int) -> float | None:

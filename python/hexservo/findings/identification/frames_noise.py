@@ -22,15 +22,21 @@ _NOISE = 0.5  # share of the differences' power that a fit of the drives leaves 
 _REACH = 15  # ticks from which on a reading does not act in a spline, to 1e-8
 _KNOWN_TO = 0.1  # share of the joints' power in the image that is not known
 _MOST_DEVIATION = 0.25  # of frames' times that is searched [s]
+_ALIKE = 0.25  # share of a jitter that two of its estimates may differ by
 _TIMES_TO = 5e-5  # to which the deviation of frames' times is searched [s]
 
 
-def joint_deviations(log: Log) -> Array:
+def joint_deviations(readings: Array) -> Array:
     """Return the standard deviation of the white noise of each joint, (6,) [m; rad].
 
     It is too large where a tick is long for the motion (`is_motion`): then a spline is off by as much between two.
+
+    Parameters
+    ----------
+    readings
+        (n, 6) of the joints at the ticks, or what a model leaves of them [m; rad].
     """
-    differences = np.abs(np.diff(log.joints, n=_DIFFERENCES, axis=0))
+    differences = np.abs(np.diff(readings, n=_DIFFERENCES, axis=0))
     return np.asarray(NORMAL * np.median(differences, axis=0) / np.sqrt(comb(2 * _DIFFERENCES, _DIFFERENCES)))
 
 
@@ -70,6 +76,22 @@ def overstated(slopes: Array, power: float) -> float:
     return seen / (seen - power) if seen > power else np.inf
 
 
+def moved_by(slopes: Array, image: Array) -> float:
+    """Return what an image moves a shift of times by that least squares finds [s].
+
+    Parameters
+    ----------
+    slopes
+        (n, f) of residuals, the first by the shift [px/s].
+    image
+        (n,) that is added to the residuals [px].
+    """
+    by_shift, others = slopes[:, 0], slopes[:, 1:]
+    alone = by_shift - others @ np.linalg.lstsq(others, by_shift)[0]
+    seen = float(alone @ alone)
+    return float(alone @ image) / seen if seen > 0.0 else np.inf
+
+
 def image_of_noise(scene: Scene, poses: Poses, deviations: Array) -> Array:
     """Return what one standard deviation of each joint moves the image by, (m, 2p, 6) [px].
 
@@ -95,9 +117,10 @@ class Scatter:
     noise: Interval  # standard deviation of a coordinate, by the camera [px]
     jitter: float | None  # how much later some frames are than others [s]; None where none is seen
     of_joints: float  # share of what is left across the motion that the noise of the joints explains
+    of_ticks: bool = False  # the jitter is another, or none, if the image is off by what motion between ticks may be
 
 
-def scatter_of(left: Array, speed: Array, by_joints: Array, together: float) -> Scatter:
+def scatter_of(left: Array, speed: Array, by_joints: Array, together: float, by_ticks: Array | None = None) -> Scatter:
     """Return the noise of the camera, and how much later some frames are than others.
 
     A frame that is late by d differs by d times the speed of the image, and so along it only: what is at right angles
@@ -115,6 +138,8 @@ def scatter_of(left: Array, speed: Array, by_joints: Array, together: float) -> 
         (m, 2p, 6) what one standard deviation of each joint's noise moves the image by [px].
     together
         Over how many frames residuals are correlated.
+    by_ticks
+        (k, m, 2p) what the image may be off by since the motion between ticks is not known, k times [px].
     """
     size = np.linalg.norm(speed, axis=1)
     direction = speed / np.where(size > 0.0, size, 1.0)[:, None]
@@ -140,11 +165,38 @@ def scatter_of(left: Array, speed: Array, by_joints: Array, together: float) -> 
     if variance <= 0.0:
         return Scatter(noise, None, share)
     at_rest = variance + (joints_along**2).sum(axis=1)
+    jitter = _jitter(along, size, at_rest, together)
+    if jitter is None or by_ticks is None:
+        return Scatter(noise, jitter, share)
+    ticks_along = np.einsum("kij,ij->ki", by_ticks, direction)
+    surer = _jitter(along, size, at_rest + (ticks_along**2).mean(axis=0), together)
+    return Scatter(noise, surer, share) if agree(jitter, surer) else Scatter(noise, jitter, share, of_ticks=True)
+
+
+def agree(one: float | None, other: float | None) -> bool:
+    """Whether two estimates of a jitter [s] are of the same."""
+    return one is not None and other is not None and abs(one - other) <= _ALIKE * other
+
+
+def _jitter(along: Array, speed: Array, at_rest: Array, together: float) -> float | None:
+    """Return the width of the uniform distribution of times [s] that is most likely; None where 0 is as likely.
+
+    Parameters
+    ----------
+    along
+        (m,) residuals along the motion of the image [px].
+    speed
+        (m,) of the image [px/s].
+    at_rest
+        (m,) their variances without jitter [px^2].
+    together
+        Over how many frames they are correlated.
+    """
 
     def cost(deviation: float) -> float:  # -2 log of the likelihood, of frames whose times have this deviation [s]
-        spread = at_rest + (size * deviation) ** 2
+        spread = at_rest + (speed * deviation) ** 2
         return float((np.log(spread) + along**2 / spread).sum())
 
     best = minimize_scalar(cost, bounds=(0.0, _MOST_DEVIATION), method="bounded", options={"xatol": _TIMES_TO})
     seen = cost(0.0) - cost(best.x) > together * chi2.ppf(LEVEL, 1)
-    return Scatter(noise, float(np.sqrt(12.0) * best.x) if seen else None, share)
+    return float(np.sqrt(12.0) * best.x) if seen else None

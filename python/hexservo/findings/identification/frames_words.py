@@ -12,6 +12,7 @@ from hexservo.scenario.wording import number
 
 _TITLE = "Camera"
 _UNKNOWN = "not determined"
+_BETWEEN_TICKS = "motion of the joints between ticks that are long for it"
 
 
 def section(found: CameraFit) -> Section:
@@ -109,6 +110,12 @@ def doubts(found: CameraFit) -> list[str]:
             f"{number(100 * found.of_joints)} % of what the fit leaves of the image across its motion, and the rest "
             f"does not tell the noise of the camera. {_left(found)}"
         )
+    elif not found.jitter_is_known:
+        words.append(
+            "The scatter of the latency is not determined: the joints are not read often enough to tell it from motion "
+            "between ticks. Record exposure times, or more ticks a second. The key `camera.latency_jitter` is left as "
+            "it is."
+        )
     return words
 
 
@@ -122,14 +129,16 @@ def _left(found: CameraFit) -> str:
 def _not_late(found: CameraFit) -> str:
     """Return what else moves the image where no jitter is known."""
     reasons = [] if found.noise_is_white else ["a wrong calibration"]
-    return ", ".join(reasons if found.noise_is_of_camera else [*reasons, _by_joints(found)])
+    if not found.noise_is_of_camera:
+        reasons.append(_by_joints(found))
+    elif found.jitter_of_ticks:
+        reasons.append(_BETWEEN_TICKS)
+    return ", ".join(reasons)
 
 
 def _by_joints(found: CameraFit) -> str:
     """Return what of the joints is unknown, and moves the image that they predict."""
-    if found.ticks_are_coarse:
-        return "motion of the joints between ticks that are long for it"
-    return "the noise of the joints"
+    return _BETWEEN_TICKS if found.ticks_are_coarse else "the noise of the joints"
 
 
 def _jitter(found: CameraFit) -> str | None:
