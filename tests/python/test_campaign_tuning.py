@@ -17,6 +17,7 @@ import hexservo as hs
 from hexservo.campaigns.candidates import Candidates, ranking, violation_of
 from hexservo.campaigns.judging import Judge
 from hexservo.campaigns.plan import CampaignPlan, load_plan
+from hexservo.campaigns.requirements import margin_of
 from hexservo.campaigns.tune_result import Edge
 from hexservo.campaigns.tuning import edges_of
 from hexservo.run.publish import OutputError
@@ -57,16 +58,35 @@ def test_feasible_candidates_come_first() -> None:
 
 
 def test_a_run_that_diverges_does_not_hide_the_others() -> None:
-    """A run of ten that diverges counts ln(1e6 + 1) / 10 = 1.38, ten that miss a bound by half of it ln 1.5 = 0.41."""
-    runs = np.full((4, 10), 0.1)
-    runs[0, 0] = -1e6
-    runs[1, :] = -0.5
-    runs[2, 0] = -0.5
-    runs[3, 0] = -1e3
-    one_fails = np.log1p([1e6, 0.5, 1e3]) / 10
+    """A run of ten that ends at once counts 2/10; ten that miss a bound by half of it count 0.5/1.5 each."""
+    distances = np.full((5, 10), 0.1)
+    distances[0, 0] = math.nan  # never settles
+    distances[1, :] = -0.5
+    distances[2, 0] = -0.5
+    distances[3, 0] = -1e3
+    runs = margin_of(distances)
+    runs[4, 0] = -2.0  # ends at once
     violations = violation_of(runs).mean(axis=1, keepdims=True)
-    assert violations[[0, 2, 3], 0] == pytest.approx(one_fails, rel=1e-14)
-    assert ranking(violations, np.zeros(4)).tolist() == [2, 1, 3, 0]
+    expected = [0.1, 1 / 3, 1 / 30, 1e3 / 1001 / 10, 0.2]
+    assert violations[:, 0] == pytest.approx(expected, rel=1e-14)
+    assert ranking(violations, np.zeros(5)).tolist() == [2, 3, 0, 4, 1]
+
+
+def test_gains_that_settle_late_are_better_than_gains_that_never_settle() -> None:
+    """No drive settles within 0.2 s: that of the scenario needs 0.55 s, and the slow one is far from the goal at 1 s."""
+    variables = {"controller.composite.drive": {"log": [0.001, 4.5]}}
+    file = FILE | {
+        "scenario": hs.load_scenario("paper-composite").updated({"simulation.duration": 1.0}),
+        "require": ["outcome == completed", "settling_time <= 0.2"],
+        "tune": {"variables": variables, "over": 2},
+    }
+    candidates = candidates_of(file)
+    drives = [0.1421, 4.0]
+    places = [candidates.place_of(file["scenario"].updated({"controller.composite.drive": one})) for one in drives]
+    judged = candidates.judged(np.stack(places))
+    assert judged.smallest[0] == -1.0
+    assert -0.9 < judged.smallest[1] < 0
+    assert judged.order().tolist() == [1, 0]
 
 
 @pytest.mark.slow

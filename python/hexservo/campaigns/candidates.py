@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hexservo.campaigns.judging import Judge
 from hexservo.campaigns.loop_numbers import LOOP_NUMBERS
 from hexservo.campaigns.plan import CampaignPlan
-from hexservo.campaigns.requirements import without_distance
+from hexservo.campaigns.requirements import margin_of, run_distances
 from hexservo.campaigns.search_steps import SearchSteps
 from hexservo.campaigns.tune_keys import TunePlan, Variable
 from hexservo.campaigns.worst_case import smallest_in_box
@@ -32,7 +32,7 @@ _NONE = 1e9  # stands for a metric without a value, in the search for its larges
 class Judged:
     """The worst of every candidate over the variations: margins (n, r), minimised metrics (n, m).
 
-    `distances` (n, r) are the margins, but NaN where one is no distance from a bound; `violations` (n, r) the means of
+    `distances` (n, r) are those from the bounds, NaN where one of the runs has none; `violations` (n, r) the means of
     `violation_of` over the variations.
     """
 
@@ -55,11 +55,11 @@ class Judged:
 
 
 def violation_of(margins: Array) -> Array:
-    """Return how far margins are below zero, as ln(1 + distance); 0 where a requirement holds.
+    """Return how far margins are below zero, at most 2; 0 where a requirement holds.
 
-    The logarithm keeps an order among runs that diverge, and lets none of them hide what happens in the others.
+    As a margin is bounded, a run that diverges does not hide what happens in the others.
     """
-    return np.log1p(np.maximum(-margins, 0.0))
+    return np.maximum(-margins, 0.0)
 
 
 def ranking(violations: Array, values: Array) -> NDArray[np.intp]:
@@ -184,7 +184,7 @@ class Candidates:
             begun: list[Future[Array]] = []
             found = self._simulated(places, lambda: begun.append(beside.submit(self._loop_values, places)))
             distances = self._loop_distances(places, begun)
-        margins = np.nan_to_num(distances, nan=-1.0)
+        margins = margin_of(distances)
         return Judged(
             np.concatenate([found.margins, margins], axis=1),
             found.values,
@@ -196,14 +196,14 @@ class Candidates:
         return np.array([self.loop_numbers(place) for place in places])
 
     def _loop_distances(self, places: Array, begun: Sequence[Future[Array]]) -> Array:
-        """Return the margins of what is required of the loop, (n, s); NaN for a number that has no value."""
+        """Return the distances from what is required of the loop, (n, s); NaN for a number that has no value."""
 
         def compute() -> dict[str, Array]:
             return {"values": begun[0].result() if begun else self._loop_values(places)}
 
         values = self.steps.take({"places": places}, compute)["values"]
-        margins = [one.margin(column) for one, column in zip(self.asked.subject_to, values.T, strict=True)]
-        return np.stack(margins, axis=1)
+        found = [one.distance(column) for one, column in zip(self.asked.subject_to, values.T, strict=True)]
+        return np.stack(found, axis=1)
 
     def _simulated(self, places: Array, simulating: Callable[[], object] = lambda: None) -> Judged:
         """Run every candidate on every variation, in one batch."""
@@ -230,8 +230,7 @@ class Candidates:
             margins, batch = self.judge.judged(numbers, gains)
             metrics = [batch.metrics[name].reshape(shape).max(axis=1) for name in self.asked.minimise]  # NaN stays NaN
             values = np.stack(metrics, axis=1) if metrics else np.empty((shape[0], 0))
-            lost = without_distance(self.plan.require, batch.outcome, batch.metrics)
-            distances = np.where(lost, np.nan, margins)
+            distances = run_distances(self.plan.require, batch.outcome, batch.metrics)
             worst = {"margins": margins, "distances": distances}
             found = {name: each.reshape(*shape, -1).min(axis=1) for name, each in worst.items()}
             violations = violation_of(margins).reshape(*shape, -1).mean(axis=1)

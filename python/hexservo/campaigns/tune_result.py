@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hexservo.campaigns.requirements import Requirement
+from hexservo.campaigns.requirements import Requirement, distance_of
 from hexservo.campaigns.result import CampaignResult
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict, picked
@@ -115,10 +115,9 @@ class TuneResult(Findings):
             return f"The requirements hold, but in some variation the run has no {' and no '.join(lost)}."
         if not self.relaxations:
             least = f"the smallest margin of the best gains is {number(self.margin)}"
-            if self.margin > -1.0:  # below it is a run that does not end, or a metric without a value
-                least = (
-                    f"with every bound relaxed by {number(-self.margin)} of its scale, the best gains keep all of them"
-                )
+            if self.margin > -1.0:  # else a run ended early, or a metric has no value
+                change = number(-distance_of(self.margin))
+                least = f"with every bound relaxed by {change} of its scale, the best gains keep all of them"
             return f"No requirement was found whose relaxation alone helps; {least}."
         first = self.relaxations[0]
         return (
@@ -240,7 +239,7 @@ class TuneResult(Findings):
                 "runs",
                 "smallest margin",
                 [
-                    Line(name, runs[kind], np.maximum(margins[kind], -2.0), "points")
+                    Line(name, runs[kind], margins[kind], "points")
                     for name, kind in (("requirements hold", margins >= 0), ("requirements do not hold", margins < 0))
                     if kind.any()
                 ],

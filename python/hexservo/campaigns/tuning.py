@@ -301,14 +301,14 @@ def _relaxations(candidates: Candidates, plan: CampaignPlan) -> tuple[Relaxation
             continue
         place = candidates.nearest_places[column]
         judged = candidates.other_runs(place, other, runs)
-        margin, kept = nearest, judged.margins >= 0
+        distance, kept = nearest, judged.margins >= 0
         if column < len(plan.require):  # else a number of the loop, which no run changes
             distances = judged.distances[:, column]
-            margin = np.nanmin([nearest, *distances])
+            distance = np.nanmin([nearest, *distances])
             kept[:, column] = np.isfinite(distances)
         failures = int((~kept.all(axis=1)).sum())
         found.append(
-            Relaxation(one, one.bound_at(float(margin)), float(-margin), candidates.gains(place), failures, runs)
+            Relaxation(one, one.bound_at(float(distance)), float(-distance), candidates.gains(place), failures, runs)
         )
     return tuple(sorted(found, key=lambda each: each.share))
 
