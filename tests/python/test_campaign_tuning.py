@@ -73,7 +73,7 @@ def test_a_run_that_diverges_does_not_hide_the_others() -> None:
 
 
 def test_gains_that_settle_late_are_better_than_gains_that_never_settle() -> None:
-    """No drive settles within 0.2 s: that of the scenario needs 0.55 s, and the slow one is far from the goal at 1 s."""
+    """No drive settles within 0.2 s: that of the scenario needs 0.55 s, and the slow one is far away at 1 s."""
     variables = {"controller.composite.drive": {"log": [0.001, 4.5]}}
     file = FILE | {
         "scenario": hs.load_scenario("paper-composite").updated({"simulation.duration": 1.0}),

@@ -128,6 +128,15 @@ def run_margins(
     return np.where((outcome == COMPLETED)[:, None], margin_of(distances), early[:, None])
 
 
+def ranks_of(margins: Array) -> Array:
+    """Return by what runs are compared, (n, 2) of margins (n, r): the smallest margin, then the sum of all.
+
+    The run with the lexicographically least pair is the worst. All runs without a value have the same smallest margin:
+    the sum orders them by what else they miss.
+    """
+    return np.stack([margins.min(axis=1), margins.sum(axis=1)], axis=1)
+
+
 def run_distances(
     requirements: Sequence[Requirement], outcome: NDArray[np.str_], metrics: Mapping[str, Array]
 ) -> Array:
