@@ -192,7 +192,7 @@ def test_a_worse_run_outside_the_box_has_its_reason(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("common_noise", [None, 7])
 @pytest.mark.parametrize(
-    ("margin", "drawn", "verdict", "said"),
+    ("margin", "drawn", "verdict", "ends"),
     [
         (0.00125, -0.00125, "bad", "passes: its margin is 0.00125; the smallest one of the campaign's own runs is "
          "-0.00125, which fails."),
@@ -201,12 +201,12 @@ def test_a_worse_run_outside_the_box_has_its_reason(tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_a_search_proves_no_good_verdict(
-    margin: float, drawn: float, verdict: str, said: str, common_noise: int | None
+    margin: float, drawn: float, verdict: str, ends: str, common_noise: int | None
 ) -> None:
     scenario = FILE["scenario"]
     case = WorstCase(scenario, Path("x"), margin, (), drawn, (), 10, 0, common_noise, "")
     assert case.section().verdict == verdict
-    assert case.section().sentences[0] == f"The worst case found {said}"
+    assert case.section().sentences[0] == f"The worst case found {ends}"
 
 
 def test_a_worst_case_keeps_the_noise_that_all_runs_share(tmp_path: Path) -> None:
