@@ -132,6 +132,25 @@ def test_runs_without_a_value_are_counted_with_the_reason(tmp_path: Path) -> Non
     ]
 
 
+def test_runs_that_never_settle_are_ordered_by_what_else_they_miss(tmp_path: Path) -> None:
+    file = {
+        "scenario": hs.load_scenario(
+            "paper-composite", {"simulation.duration": 0.1, "metrics.rms_start": 0.05, "metrics.dwell": 0.02}
+        ),
+        "vary": {"uncertainty.gravity": {"uniform": [-0.2, 0.2]}},
+        "require": ["settling_time <= 0.05", "final_error <= 0.001"],
+        "runs": 20,
+    }
+    result = hs.campaign(file, tmp_path / "out", chunk_size=7)
+    table = result.to_dataframe()
+    assert (table.margin == -1.0).all()
+    farthest = table.final_error.sort_values(ascending=False).index
+    assert [run.index for run in result.worst(10)] == farthest[:10].tolist()
+    case = hs.worst_case(result, runs=30, restarts=1)
+    assert case.margin == -1.0
+    assert hs.metrics(hs.simulate(case.scenario))["final_error"] >= 0.999999 * table.final_error.max()  # to rounding
+
+
 def test_the_worst_runs_come_as_scenarios(whole: Path) -> None:
     result = hs.load_campaign(whole)
     table = result.to_dataframe()

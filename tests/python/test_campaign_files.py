@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 import hexservo as hs
 from hexservo.campaigns.plan import CampaignPlan, campaign_names, load_plan
-from hexservo.campaigns.requirements import requirement_of, run_margins
+from hexservo.campaigns.requirements import distance_of, margin_of, requirement_of, run_margins
 from hexservo.run.publish import OutputError
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.yaml import load_yaml
@@ -178,8 +178,38 @@ def test_margins_by_hand() -> None:
     }
     found = run_margins(requirements, outcome, np.array([5.0, 5.0, 3.75, 5.0, nan]), 5.0, metrics)
     tiny = -float(np.finfo(float).tiny)
-    expected: list[list[float]] = [[1.0, 0.2, 0.5, 0.5], [1, -0.5, 0, -0.5], [-1.25] * 4, [1, -1, -0.5, tiny], [-2] * 4]
+    third = -1 / 3  # half of the scale beyond the bound: -0.5/1.5
+    expected: list[list[float]] = [
+        [1.0, 0.2, 0.5, 0.5],
+        [1, third, 0, third],
+        [-1.25] * 4,
+        [1, -1, third, tiny],
+        [-2] * 4,
+    ]
     np.testing.assert_allclose(found, expected, rtol=1e-15, atol=0)
+
+
+@pytest.mark.parametrize("text", ["settling_time <= 0.5", {"holds": "settling_time <= 0.5", "scale": 1e-300}])
+def test_runs_are_ordered_from_those_that_pass_to_those_that_end_first(text: Any) -> None:
+    """A late value is better than none, which is better than an early end, whatever the scale."""
+    settles = np.array([0.4, 0.5, 0.6, 4.7, math.nan, math.nan, math.nan])
+    outcome = np.array(["completed"] * 5 + ["diverged"] * 2)
+    end_time = np.array([5.0, 5.0, 5.0, 5.0, 5.0, 4.9, 0.05])
+    requirements = [requirement_of("outcome == completed"), requirement_of(text)]
+    margins = run_margins(requirements, outcome, end_time, 5.0, {"settling_time": settles}).min(axis=1)
+    assert (np.diff(margins[[1, 2, 4, 5, 6]]) < 0).all()
+    assert margins[2] >= margins[3] > margins[4] == -1.0
+    assert ((margins >= 0) == [True] * 2 + [False] * 5).all()
+    assert margins[6] == pytest.approx(-1.99)
+
+
+@given(distance=st.floats(-1e100, 1e100))
+def test_a_margin_has_the_sign_of_its_distance_and_no_value_is_below_none(distance: float) -> None:
+    (margin, without) = margin_of(np.array([distance, math.nan]))
+    assert (margin >= 0) == (distance >= 0)
+    assert margin > without == -1.0
+    if distance > -1e6:
+        assert distance_of(margin) == pytest.approx(distance, rel=1e-9)
 
 
 @given(
@@ -189,7 +219,7 @@ def test_margins_by_hand() -> None:
 )
 def test_a_margin_is_negative_where_the_requirement_fails(value: float, bound: float, text: str) -> None:
     holds = {"<=": value <= bound, "<": value < bound, ">=": value >= bound, ">": value > bound}[text]
-    margin = requirement_of(f"effort {text} {bound!r}").margin(np.array([value]))
+    margin = margin_of(requirement_of(f"effort {text} {bound!r}").distance(np.array([value])))
     assert (margin[0] >= 0) == holds
 
 
@@ -199,13 +229,13 @@ def test_a_margin_is_negative_where_the_requirement_fails(value: float, bound: f
 @pytest.mark.parametrize(
     "required", ["peak_leg_excursion <= 1e-320", "rms_error >= 1e308", {"holds": "overshoot <= 0", "scale": 1e-320}]
 )
-def test_a_margin_is_finite_whatever_its_scale(required: Any) -> None:
+def test_a_distance_is_finite_whatever_its_scale(required: Any) -> None:
     one = requirement_of(required)
-    margins = one.margin(np.array([0.0, 1e-3, 1e300, math.inf, math.nan]))
-    assert np.isfinite(margins[:-1]).all()
-    assert np.isfinite(margins[:-1] ** 2).all()
-    assert ((margins[:-1] >= 0) == ([False] * 3 + [True] if one.comparison == ">=" else [True] + [False] * 3)).all()
-    assert math.isnan(margins[-1])
+    found = one.distance(np.array([0.0, 1e-3, 1e300, math.inf, math.nan]))
+    assert np.isfinite(found[:-1]).all()
+    assert np.isfinite(found[:-1] ** 2).all()
+    assert ((found[:-1] >= 0) == ([False] * 3 + [True] if one.comparison == ">=" else [True] + [False] * 3)).all()
+    assert math.isnan(found[-1])
 
 
 def test_a_resolved_file_is_the_same_campaign() -> None:

@@ -59,8 +59,8 @@ def test_folders_that_are_refused(whole: Path, tmp_path: Path) -> None:
         hs.campaign(FILE, whole, runs=999)
     shutil.copytree(whole, tmp_path / "old")
     record = (tmp_path / "old" / "campaign.yaml").read_text(encoding="utf-8")
-    (tmp_path / "old" / "campaign.yaml").write_text(record.replace("format: 1", "format: 0"), encoding="utf-8")
-    with pytest.raises(hs.ResultError, match="expected a campaign of format 1"):
+    (tmp_path / "old" / "campaign.yaml").write_text(record.replace("format: 2", "format: 1"), encoding="utf-8")
+    with pytest.raises(hs.ResultError, match="expected a campaign of format 2"):
         hs.load_campaign(tmp_path / "old")
 
 

@@ -14,11 +14,14 @@ import numpy as np
 import pytest
 
 import hexservo as hs
-from hexservo.campaigns.candidates import Candidates, ranking, violation_of
+from hexservo.campaigns.candidates import Candidates, Judged, ranking, violation_of
 from hexservo.campaigns.judging import Judge
+from hexservo.campaigns.loop_numbers import decay_rate
 from hexservo.campaigns.plan import CampaignPlan, load_plan
-from hexservo.campaigns.tune_result import Edge
+from hexservo.campaigns.requirements import margin_of
+from hexservo.campaigns.tune_result import Edge, Generation
 from hexservo.campaigns.tuning import edges_of
+from hexservo.findings.evidence import Curves
 from hexservo.run.publish import OutputError
 from hexservo.scenario.laws import LAWS
 from hexservo.scenario.yaml import load_yaml
@@ -57,16 +60,35 @@ def test_feasible_candidates_come_first() -> None:
 
 
 def test_a_run_that_diverges_does_not_hide_the_others() -> None:
-    """A run of ten that diverges counts ln(1e6 + 1) / 10 = 1.38, ten that miss a bound by half of it ln 1.5 = 0.41."""
-    runs = np.full((4, 10), 0.1)
-    runs[0, 0] = -1e6
-    runs[1, :] = -0.5
-    runs[2, 0] = -0.5
-    runs[3, 0] = -1e3
-    one_fails = np.log1p([1e6, 0.5, 1e3]) / 10
+    """A run of ten that ends at once counts 2/10; ten that miss a bound by half of it count 0.5/1.5 each."""
+    distances = np.full((5, 10), 0.1)
+    distances[0, 0] = math.nan  # never settles
+    distances[1, :] = -0.5
+    distances[2, 0] = -0.5
+    distances[3, 0] = -1e3
+    runs = margin_of(distances)
+    runs[4, 0] = -2.0  # ends at once
     violations = violation_of(runs).mean(axis=1, keepdims=True)
-    assert violations[[0, 2, 3], 0] == pytest.approx(one_fails, rel=1e-14)
-    assert ranking(violations, np.zeros(4)).tolist() == [2, 1, 3, 0]
+    expected = [0.1, 1 / 3, 1 / 30, 1e3 / 1001 / 10, 0.2]
+    assert violations[:, 0] == pytest.approx(expected, rel=1e-14)
+    assert ranking(violations, np.zeros(5)).tolist() == [2, 3, 0, 4, 1]
+
+
+def test_gains_that_settle_late_are_better_than_gains_that_never_settle() -> None:
+    """No drive settles within 0.2 s: that of the scenario needs 0.55 s, and the slow one is far away at 1 s."""
+    variables = {"controller.composite.drive": {"log": [0.001, 4.5]}}
+    file = FILE | {
+        "scenario": hs.load_scenario("paper-composite").updated({"simulation.duration": 1.0}),
+        "require": ["outcome == completed", "settling_time <= 0.2"],
+        "tune": {"variables": variables, "over": 2},
+    }
+    candidates = candidates_of(file)
+    drives = [0.1421, 4.0]
+    places = [candidates.place_of(file["scenario"].updated({"controller.composite.drive": one})) for one in drives]
+    judged = candidates.judged(np.stack(places))
+    assert judged.smallest[0] == -1.0
+    assert -0.9 < judged.smallest[1] < 0
+    assert judged.order().tolist() == [1, 0]
 
 
 @pytest.mark.slow
@@ -234,6 +256,98 @@ def test_gains_at_the_edge_of_their_range_are_named() -> None:
         "controller.composite.drive at the lower end, 1",
     ]
     assert edges_of(candidates, np.full(4, 0.03)) == edges_of(candidates, np.full(4, 0.97)) == ()
+
+
+@pytest.mark.parametrize(
+    ("variables", "excluded"),
+    [
+        ({"kt": {"log": [0.01, 100], "groups": [6]}, "drive": {"uniform": [1, 40]}}, ("kt",)),  # a mean of all six
+        ({"kt": {"log": [0.01, 100], "groups": [3, 2, 1]}, "drive": {"log": [5, 40]}}, ("drive",)),
+        ({"kt": {"log": [0.01, 100], "groups": [3, 2, 1]}, "drive": {"uniform": [1, 40]}}, ()),
+    ],
+)
+def test_the_original_gains_are_judged_as_they_are(variables: dict[str, Any], excluded: tuple[str, ...]) -> None:
+    """Also where no candidate has them; with what is required of the loop."""
+    keys = {f"controller.composite.{name}": ranges for name, ranges in variables.items()}
+    tune = FILE["tune"] | {"variables": keys, "subject_to": ["decay_rate >= 0.1"]}
+    candidates = candidates_of(FILE | {"tune": tune})
+    assert candidates.excluded() == tuple(f"controller.composite.{name}" for name in excluded)
+    original = candidates.original()
+    plan = load_plan(FILE)
+    margins, batch = Judge(plan, None, ["rms_error"]).judged(plan.drawing().numbers(0, 6))
+    assert original.values[0, 0] == batch.metrics["rms_error"].max()
+    decay = decay_rate(BASE) / 0.1 - 1
+    np.testing.assert_allclose(original.margins[0], [*margins.min(axis=0), decay], rtol=1e-12)
+    nearest = candidates.judged(candidates.place_of(BASE)[None])
+    assert (nearest.values[0, 0] == pytest.approx(original.values[0, 0], rel=1e-9)) == (not excluded)
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "beats"),
+    [
+        ((0.1, [0.5]), (0.2, [0.6]), True),  # both feasible: by the metric
+        ((0.1, [0.5]), (0.1, [0.5]), False),
+        ((-0.1, [0.5]), (0.1, [0.6]), False),  # a feasible one comes first,
+        ((-0.1, [0.5]), (-0.2, [0.4]), True),  # then the smaller violation
+        ((0.1, [0.5, 0.5]), (0.1, [0.6, 0.4]), False),  # of a front: by both metrics
+        ((0.1, [0.5, 0.5]), (0.1, [0.6, 0.6]), True),
+        ((0.2, []), (0.1, []), True),  # without a metric: by the margin
+    ],
+)
+def test_gains_are_better_by_the_order_of_the_search(
+    one: tuple[float, list[float]], other: tuple[float, list[float]], beats: bool
+) -> None:
+    def judged(margin: float, values: list[float]) -> Judged:
+        margins = np.array([[margin]])
+        return Judged(margins, np.array([values]), margins, violation_of(margins))
+
+    assert judged(*one).beats(judged(*other)) == beats
+
+
+def test_gains_that_are_worse_than_the_original_ones_are_not_good(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The range excludes the drive of the scenario, 4, which is faster; then the course and the verdict by hand."""
+    monkeypatch.setattr("hexservo.campaigns.candidates._WORST_RUNS", 10)
+    variables = {"controller.composite.drive": {"log": [2.0, 2.5]}}
+    file = FILE | {
+        "vary": {"uncertainty.gravity": {"uniform": [-0.05, 0.05]}},
+        "tune": FILE["tune"] | {"variables": variables, "over": 2},
+        "runs": 60,
+    }
+    result = hs.tune(file, tmp_path / "out", generations=1, rounds=1)
+    assert result.feasible
+    assert result.before[1] < result.worst[0]
+    assert result.before_is_better
+    assert result.section().verdict == "warning"
+    assert result.section().sentences[2] == (
+        "The original gains are better over the variations of the search; no candidate has their "
+        "controller.composite.drive, since the ranges and groups of tune.variables exclude it. Widen these, or keep "
+        "the original gains."
+    )
+    data = result.section().data
+    assert (data["before_is_better"], data["excluded"]) == (True, ["controller.composite.drive"])
+
+    better = dataclasses.replace(result, before_is_better=False, settled=True, worst_margin=0.1)
+    assert better.section().verdict == "good"
+    assert "No candidate has the original controller.composite.drive, since" in better.section().sentences[2]
+    for settled, found in ((False, "one, which did not join, since the rounds had ended; the"), (True, "none; the")):
+        known = dataclasses.replace(better, settled=settled, worst_margin=-0.575)
+        assert known.section().verdict == "warning"
+        said = f"worse case found {found} smallest margin that it found is -0.575"
+        assert any(said in sentence for sentence in known.section().sentences)
+    generation = Generation(1, 10, -3.0, False, (math.nan,), 2)
+    (curves,) = dataclasses.replace(result, history=(generation,)).sections()[1].items
+    assert isinstance(curves, Curves)
+    assert [line.y.tolist() for line in curves.lines] == [[-3.0]]
+
+
+def test_the_first_case_that_fails_joins_however_little_it_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    candidates = candidates_of(FILE)
+    monkeypatch.setattr(candidates, "judged", lambda places: SimpleNamespace(margins=np.full((1, 3), 4e-4)))
+    monkeypatch.setattr("hexservo.campaigns.candidates.smallest_in_box", lambda runs, start, *rest: (start, -4e-4))
+    joining, margin = candidates.worse_cases(candidates.place_of(BASE))
+    assert (len(joining), margin) == (1, -4e-4)
 
 
 def test_margins_of_fewer_variations_are_forgotten() -> None:

@@ -17,7 +17,7 @@ import hexservo as hs
 from hexservo.campaigns.distributions import variation_of
 from hexservo.campaigns.judging import Judge
 from hexservo.campaigns.plan import load_plan
-from hexservo.campaigns.worst_case import smallest_in_box
+from hexservo.campaigns.worst_case import WorstCase, smallest_in_box
 from hexservo.scenario.arrays import Array
 from test_terminal import invoke
 
@@ -188,6 +188,25 @@ def test_a_worse_run_outside_the_box_has_its_reason(tmp_path: Path) -> None:
         "worst-run.yaml has the campaign's own worst run, which is worse: outside of the box that is searched lies its "
         "uncertainty.gravity."
     )
+
+
+@pytest.mark.parametrize("common_noise", [None, 7])
+@pytest.mark.parametrize(
+    ("margin", "drawn", "verdict", "ends"),
+    [
+        (0.00125, -0.00125, "bad", "passes: its margin is 0.00125; the smallest one of the campaign's own runs is "
+         "-0.00125, which fails."),
+        (-0.1, 0.1, "bad", "fails: its margin is -0.1; the smallest one of the campaign's own runs is 0.1."),
+        (0.1, 0.2, "open", "passes: its margin is 0.1; the smallest one of the campaign's own runs is 0.2."),
+    ],
+)  # fmt: skip
+def test_a_search_proves_no_good_verdict(
+    margin: float, drawn: float, verdict: str, ends: str, common_noise: int | None
+) -> None:
+    scenario = FILE["scenario"]
+    case = WorstCase(scenario, Path("x"), margin, (), drawn, (), 10, 0, common_noise, "")
+    assert case.section().verdict == verdict
+    assert case.section().sentences[0] == f"The worst case found {ends}"
 
 
 def test_a_worst_case_keeps_the_noise_that_all_runs_share(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hexservo.campaigns.judging import Judge
 from hexservo.campaigns.loop_numbers import LOOP_NUMBERS
 from hexservo.campaigns.plan import CampaignPlan
-from hexservo.campaigns.requirements import without_distance
+from hexservo.campaigns.requirements import margin_of, run_distances
 from hexservo.campaigns.search_steps import SearchSteps
 from hexservo.campaigns.tune_keys import TunePlan, Variable
 from hexservo.campaigns.worst_case import smallest_in_box
@@ -24,15 +24,16 @@ from hexservo.scenario.keys import value_at
 from hexservo.scenario.scenario import Scenario
 
 _WORST_RUNS = 400  # of a search for the worst case of a candidate
-_WORSE = 1e-3  # a case joins if its margin is smaller by more than this,
+_WORSE = 1e-3  # a case joins if it is the first to fail, or its margin is smaller by more than this,
 _LARGER = 1.01  # or a minimised metric larger by more than this factor
+_ROUNDING = 1e-12  # relative one of gains, and of a range's ends
 _NONE = 1e9  # stands for a metric without a value, in the search for its largest one
 
 
 class Judged:
     """The worst of every candidate over the variations: margins (n, r), minimised metrics (n, m).
 
-    `distances` (n, r) are the margins, but NaN where one is no distance from a bound; `violations` (n, r) the means of
+    `distances` (n, r) are those from the bounds, NaN where one of the runs has none; `violations` (n, r) the means of
     `violation_of` over the variations.
     """
 
@@ -53,13 +54,21 @@ class Judged:
         none = self.values.shape[1] == 0
         return ranking(self.violations, -self.smallest if none else self.values[:, metric])
 
+    def beats(self, other: Judged) -> bool:
+        """Return whether the one candidate here comes before the one of `other`, by each of the minimised metrics."""
+        pairs = [
+            (getattr(other, name), getattr(self, name)) for name in ("margins", "values", "distances", "violations")
+        ]
+        both = Judged(*map(np.concatenate, pairs))
+        return all(both.order(metric)[0] == 1 for metric in range(max(self.values.shape[1], 1)))
+
 
 def violation_of(margins: Array) -> Array:
-    """Return how far margins are below zero, as ln(1 + distance); 0 where a requirement holds.
+    """Return how far margins are below zero, at most 2; 0 where a requirement holds.
 
-    The logarithm keeps an order among runs that diverge, and lets none of them hide what happens in the others.
+    As a margin is bounded, a run that diverges does not hide what happens in the others.
     """
-    return np.log1p(np.maximum(-margins, 0.0))
+    return np.maximum(-margins, 0.0)
 
 
 def ranking(violations: Array, values: Array) -> NDArray[np.intp]:
@@ -159,11 +168,23 @@ class Candidates:
             parts.append(variable.variation.share_of(np.array(means)))
         return np.concatenate(parts)
 
+    def excluded(self) -> tuple[str, ...]:
+        """Return the keys whose gains in the scenario no candidate has: beyond their range, or unequal in a group."""
+        scenario = self.plan.scenario
+        nearest = self.gains_of(self.place_of(scenario)[None])
+        found = []
+        for key, variable in self.asked.variables.items():
+            own = np.asarray(value_at(scenario, key), dtype=float)
+            absolute = _ROUNDING * max(map(abs, variable.variation.box))
+            if not np.allclose(nearest[key][0], own, rtol=_ROUNDING, atol=absolute):
+                found.append(key)
+        return tuple(found)
+
     # ---- Runs -------------------------------------------------------------------------------------------------------
 
     def judged(self, places: Array) -> Judged:
         """Return the worst of candidates, (n, dimension), over the variations."""
-        found = self._with_loop(places) if self.asked.subject_to else self._simulated(places)
+        found = self._worst_of(self.gains_of(places), len(places))
         for column in range(found.margins.shape[1]):
             others = np.delete(found.margins, column, axis=1)
             kept = (others >= 0).all(axis=1) & np.isfinite(found.distances[:, column])
@@ -173,18 +194,28 @@ class Candidates:
                 self.nearest[column], self.nearest_places[column] = distances[first], places[first]
         return found
 
-    def loop_numbers(self, place: Array) -> list[float]:
-        """Return the numbers of the loop that are required, of the scenario with a candidate's gains."""
-        scenario = self.plan.scenario.updated(self.gains(place))
+    def original(self) -> Judged:
+        """Return the worst of the scenario's own gains over the variations, as one candidate.
+
+        They need not be a place in the ranges: `excluded`.
+        """
+        return self._worst_of({}, 1)
+
+    def loop_numbers(self, scenario: Scenario) -> list[float]:
+        """Return the numbers of a scenario's loop that are required."""
         return [LOOP_NUMBERS[one.name][1](scenario) for one in self.asked.subject_to]
 
-    def _with_loop(self, places: Array) -> Judged:
+    def _worst_of(self, gains: dict[str, Array], count: int) -> Judged:
+        """Return the worst of candidates with gains, (count, ...) by key; those of no key are the scenario's own."""
+        return (self._with_loop if self.asked.subject_to else self._simulated)(gains, count)
+
+    def _with_loop(self, gains: dict[str, Array], count: int) -> Judged:
         """Run candidates, and compute the numbers of their loops while the batch leaves the interpreter to that."""
         with ThreadPoolExecutor(1, "loop") as beside:
             begun: list[Future[Array]] = []
-            found = self._simulated(places, lambda: begun.append(beside.submit(self._loop_values, places)))
-            distances = self._loop_distances(places, begun)
-        margins = np.nan_to_num(distances, nan=-1.0)
+            found = self._simulated(gains, count, lambda: begun.append(beside.submit(self._loop_values, gains, count)))
+            distances = self._loop_distances(gains, count, begun)
+        margins = margin_of(distances)
         return Judged(
             np.concatenate([found.margins, margins], axis=1),
             found.values,
@@ -192,22 +223,26 @@ class Candidates:
             np.concatenate([found.violations, violation_of(margins)], axis=1),
         )
 
-    def _loop_values(self, places: Array) -> Array:
-        return np.array([self.loop_numbers(place) for place in places])
+    def _loop_values(self, gains: dict[str, Array], count: int) -> Array:
+        law = self.plan.scenario.controller.law
+        rows = [changes_of_run(gains, law, row) for row in range(count)]
+        return np.array([self.loop_numbers(self.plan.scenario.updated(row)) for row in rows])
 
-    def _loop_distances(self, places: Array, begun: Sequence[Future[Array]]) -> Array:
-        """Return the margins of what is required of the loop, (n, s); NaN for a number that has no value."""
+    def _loop_distances(self, gains: dict[str, Array], count: int, begun: Sequence[Future[Array]]) -> Array:
+        """Return the distances from what is required of the loop, (n, s); NaN for a number that has no value."""
 
         def compute() -> dict[str, Array]:
-            return {"values": begun[0].result() if begun else self._loop_values(places)}
+            return {"values": begun[0].result() if begun else self._loop_values(gains, count)}
 
-        values = self.steps.take({"places": places}, compute)["values"]
-        margins = [one.margin(column) for one, column in zip(self.asked.subject_to, values.T, strict=True)]
-        return np.stack(margins, axis=1)
+        values = self.steps.take(gains, compute)["values"]
+        found = [one.distance(column) for one, column in zip(self.asked.subject_to, values.T, strict=True)]
+        return np.stack(found, axis=1)
 
-    def _simulated(self, places: Array, simulating: Callable[[], object] = lambda: None) -> Judged:
+    def _simulated(
+        self, gains: dict[str, Array], count: int, simulating: Callable[[], object] = lambda: None
+    ) -> Judged:
         """Run every candidate on every variation, in one batch."""
-        gains, numbers, count = self.gains_of(places), self.numbers, len(places)
+        numbers = self.numbers
         size = len(next(iter(numbers.values())))
         drawn = {key: np.tile(values, (count, *[1] * (values.ndim - 1))) for key, values in numbers.items()}
         repeated = {key: np.repeat(values, size, axis=0) for key, values in gains.items()}
@@ -230,8 +265,7 @@ class Candidates:
             margins, batch = self.judge.judged(numbers, gains)
             metrics = [batch.metrics[name].reshape(shape).max(axis=1) for name in self.asked.minimise]  # NaN stays NaN
             values = np.stack(metrics, axis=1) if metrics else np.empty((shape[0], 0))
-            lost = without_distance(self.plan.require, batch.outcome, batch.metrics)
-            distances = np.where(lost, np.nan, margins)
+            distances = run_distances(self.plan.require, batch.outcome, batch.metrics)
             worst = {"margins": margins, "distances": distances}
             found = {name: each.reshape(*shape, -1).min(axis=1) for name, each in worst.items()}
             violations = violation_of(margins).reshape(*shape, -1).mean(axis=1)
@@ -259,7 +293,8 @@ class Candidates:
 
         start = np.full(self.drawing.dimension, 0.5)
         found, margin = smallest_in_box(lambda shares: runs(shares).smallest, start, _WORST_RUNS, self.seed + 1)
-        worse = margin < kept - _WORSE and (margin < 0 or not self.asked.minimise)
+        fails_first = margin < 0 <= kept  # by however little: the requirements do not hold in the box
+        worse = fails_first or (margin < kept - _WORSE and (margin < 0 or not self.asked.minimise))
         if worse or margin < 0:
             return ([self._at(found[None], seeds)] if worse else []), margin
         joining = []

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hexservo.campaigns.requirements import COMPLETED, Requirement, run_margins
+from hexservo.campaigns.requirements import COMPLETED, Requirement, ranks_of, run_margins
 from hexservo.run.batch import BatchResult
 from hexservo.run.sealed import ResultError
 from hexservo.run.variations import columns_of
@@ -72,7 +72,7 @@ class Tally:
     failures: int = 0  # runs that fail at least one requirement
     valueless: Counter[str] = field(default_factory=Counter)  # completed runs, by required metric that has no value
     outcomes: Counter[str] = field(default_factory=Counter)
-    worst: list[tuple[float, int]] = field(default_factory=list)  # (margin, index) of the worst runs, the worst first
+    worst: list[tuple[float, float, int]] = field(default_factory=list)  # `ranks_of` and index, the worst first
 
     def add(self, other: Tally) -> None:
         """Add the counts of other runs."""
@@ -86,21 +86,23 @@ class Tally:
 
 def tally_of(table: pa.Table, requirements: Sequence[Requirement], duration: float) -> Tally:
     """Count the runs of a chunk; `duration` is that of the scenario [s], where it does not vary."""
-    columns = {name: _column(table, name) for name in ("index", "end_time", "margin")}
+    columns = {name: _column(table, name) for name in ("index", "end_time")}
     outcome = np.array(table.column("outcome").to_pylist())
     metrics = {one.name: _column(table, one.name) for one in requirements if one.name != "outcome"}
     times = _column(table, "simulation.duration") if "simulation.duration" in table.column_names else duration
-    failed = run_margins(requirements, outcome, columns["end_time"], times, metrics) < 0
+    margins = run_margins(requirements, outcome, columns["end_time"], times, metrics)
+    failed = margins < 0
     completed = outcome == COMPLETED
     valueless = {name: int((np.isnan(values) & completed).sum()) for name, values in metrics.items()}
-    worst = np.argsort(columns["margin"], kind="stable")[:_WORST]
+    ranks = ranks_of(margins)
+    worst = np.lexsort((ranks[:, 1], ranks[:, 0]))[:_WORST]
     return Tally(
         failed=[int(count) for count in failed.sum(axis=0)],
         runs=len(outcome),
         failures=int(failed.any(axis=1).sum()),
         valueless=Counter(valueless),
         outcomes=Counter(outcome.tolist()),
-        worst=[(float(columns["margin"][place]), int(columns["index"][place])) for place in worst],
+        worst=[(float(ranks[place, 0]), float(ranks[place, 1]), int(columns["index"][place])) for place in worst],
     )
 
 

@@ -203,7 +203,7 @@ class _State:
                     self.store.remove(index)
         self.summarise(now=True)
         if self.tally.worst:
-            worst = scenario_of_run(self.plan, self.tally.worst[0][1])
+            worst = scenario_of_run(self.plan, self.tally.worst[0][-1])
             try:
                 self.store.write_worst(worst.to_yaml())
             except KeptFileError as error:

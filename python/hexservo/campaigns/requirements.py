@@ -20,8 +20,10 @@ COMPLETED = "completed"
 _COMPARISONS = {"<=": operator.le, ">=": operator.ge, "<": operator.lt, ">": operator.gt}
 _TEXT = re.compile(r"\s*(?P<name>\w+)\s*(?P<comparison><=|>=|==|!=|<|>)\s*(?P<bound>\S+)\s*\Z")
 _EXPECTED = f'text such as "settling_time <= 0.5" or "outcome == {COMPLETED}"'
-_LARGEST = 1e100  # magnitude of a margin: its square is finite too, for scales next to nothing
-_FAILED_BY_NOTHING = -float(np.finfo(float).tiny)  # margin of a value at a bound that it may not reach
+_LARGEST = 1e100  # magnitude of a distance: its square is finite too, for scales next to nothing
+_FAILED_BY_NOTHING = -float(np.finfo(float).tiny)  # distance of a value at a bound that it may not reach
+_WITHOUT_VALUE = -1.0  # margin of a completed run whose metric has no value
+_FARTHEST = float(np.nextafter(_WITHOUT_VALUE, 0.0))  # margin of a value, however far from its bound
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,7 @@ class Requirement:
     name: str  # of hs.METRICS, or "outcome"
     comparison: str = "=="  # <=, >=, <, >; == for the outcome
     bound: float = math.nan  # in the metric's unit; NaN for the outcome
-    scale: float | None = None  # what a margin of 1 is, in the metric's unit; None: |bound|
+    scale: float | None = None  # what a distance of 1 is, in the metric's unit; None: |bound|
 
     def __str__(self) -> str:
         """Write it as a file does."""
@@ -43,8 +45,8 @@ class Requirement:
         """Return what a campaign file writes for it."""
         return str(self) if self.scale is None else {"holds": str(self), "scale": self.scale}
 
-    def margin(self, values: Array) -> Array:
-        """Return the margins of runs that completed.
+    def distance(self, values: Array) -> Array:
+        """Return the distances of runs that completed from the bound.
 
         Parameters
         ----------
@@ -54,8 +56,8 @@ class Requirement:
         Returns
         -------
         Array
-            (n,): distance to the bound in parts of the scale; at least 0 where the requirement holds, else negative;
-            at most 1e100 either way; NaN where the metric is.
+            (n,), in parts of the scale: at least 0 where the requirement holds, else negative; at most 1e100 either
+            way; NaN where the metric is.
         """
         with np.errstate(over="ignore"):
             room = (self.bound - values if self._is_upper else values - self.bound) / self._unit
@@ -64,9 +66,9 @@ class Requirement:
         found = np.where(holds, np.maximum(room, 0.0), np.minimum(room, _FAILED_BY_NOTHING))
         return np.where(np.isnan(values), np.nan, found)
 
-    def bound_at(self, margin: float) -> float:
-        """Return the bound, in the metric's unit, that a run of this margin meets exactly."""
-        return self.bound - (margin if self._is_upper else -margin) * self._unit
+    def bound_at(self, distance: float) -> float:
+        """Return the bound, in the metric's unit, that a run at this distance from the present one meets exactly."""
+        return self.bound - (distance if self._is_upper else -distance) * self._unit
 
     @property
     def _is_upper(self) -> bool:
@@ -74,8 +76,25 @@ class Requirement:
 
     @property
     def _unit(self) -> float:
-        """What a margin of 1 is, in the metric's unit."""
+        """What a distance of 1 is, in the metric's unit."""
         return abs(self.bound) if self.scale is None else self.scale
+
+
+def margin_of(distances: Array) -> Array:
+    """Return the margins of distances from bounds, of any shape: the order of runs, from the best to the worst.
+
+    A distance d that is not negative is the margin. Where a requirement is missed by x = -d the margin is -x/(1 + x):
+    between -1 and 0, nearly d next to the bound, and falling with x. It is -1 where there is no distance (NaN), which
+    is the limit of an infinite one: nothing that has a value is worse.
+    """
+    missed = np.minimum(distances, 0.0)
+    found = np.where(distances < 0, np.maximum(missed / (1.0 - missed), _FARTHEST), distances)
+    return np.where(np.isnan(distances), _WITHOUT_VALUE, found)
+
+
+def distance_of(margin: float) -> float:
+    """Return the distance of a margin above -1, the inverse of `margin_of`."""
+    return margin / (1.0 + margin) if margin < 0 else margin
 
 
 def run_margins(
@@ -101,32 +120,36 @@ def run_margins(
     Returns
     -------
     Array
-        (n, r). A completed run has `Requirement.margin` for a metric, and 1 for the outcome. A run that ended early at
-        t_end has -(1 + (T - t_end)/T) for every requirement, T being its duration; a metric that is NaN counts as if
-        the run had ended at its end: -1.
+        (n, r). A completed run has `margin_of` its distance: -1 or more. A run that ended early at t_end has
+        -(1 + (T - t_end)/T) for every requirement, T being its duration: from -1 to -2.
     """
     early = -(1.0 + np.clip((duration - np.nan_to_num(end_time)) / duration, 0.0, 1.0))
-    completed = outcome == COMPLETED
-    columns = [
-        np.ones(len(outcome)) if requirement.name == "outcome" else requirement.margin(metrics[requirement.name])
-        for requirement in requirements
-    ]
-    found = np.where(completed[:, None], np.stack(columns, axis=1), early[:, None])
-    return np.where(np.isnan(found), -1.0, found)
+    distances = run_distances(requirements, outcome, metrics)
+    return np.where((outcome == COMPLETED)[:, None], margin_of(distances), early[:, None])
 
 
-def without_distance(
-    requirements: Sequence[Requirement], outcome: NDArray[np.str_], metrics: Mapping[str, Array]
-) -> NDArray[np.bool_]:
-    """Return where a margin of `run_margins` is no distance from a bound, (n, r).
+def ranks_of(margins: Array) -> Array:
+    """Return by what runs are compared, (n, 2) of margins (n, r): the smallest margin, then the sum of all.
 
-    There the run ended early, or its metric has no value; no bound would change that. Arguments as for `run_margins`.
+    The run with the lexicographically least pair is the worst. All runs without a value have the same smallest margin:
+    the sum orders them by what else they miss.
     """
-    lost = [
-        np.zeros(len(outcome), dtype=bool) if requirement.name == "outcome" else np.isnan(metrics[requirement.name])
+    return np.stack([margins.min(axis=1), margins.sum(axis=1)], axis=1)
+
+
+def run_distances(
+    requirements: Sequence[Requirement], outcome: NDArray[np.str_], metrics: Mapping[str, Array]
+) -> Array:
+    """Return the distance of every run from every bound, (n, r): `Requirement.distance`, and 1 for the outcome.
+
+    NaN where the run ended early, or its metric has no value: no bound would change that. Arguments as for
+    `run_margins`.
+    """
+    columns = [
+        np.ones(len(outcome)) if requirement.name == "outcome" else requirement.distance(metrics[requirement.name])
         for requirement in requirements
     ]
-    return np.asarray(np.stack(lost, axis=1) | (outcome != COMPLETED)[:, None])
+    return np.where((outcome == COMPLETED)[:, None], np.stack(columns, axis=1), np.nan)
 
 
 def requirement_of(value: Any, units: Mapping[str, str] | None = None) -> Requirement:

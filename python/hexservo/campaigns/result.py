@@ -291,7 +291,7 @@ def summary_of(plan: CampaignPlan, record: dict[str, Any], tally: Tally) -> dict
         ],
         "without_value": {name: count for name, count in sorted(tally.valueless.items()) if count},
         "outcomes": dict(sorted(tally.outcomes.items())),
-        "worst": [{"index": index, "margin": margin} for margin, index in tally.worst],
+        "worst": [{"index": index, "margin": margin} for margin, _, index in tally.worst],
     }
 
 

@@ -21,7 +21,7 @@ from hexservo.scenario.reading import path_text
 from hexservo.scenario.version import VERSION
 from hexservo.scenario.yaml import ScenarioError, dump_yaml, read_yaml
 
-FORMAT = 4
+FORMAT = 5
 """Of a search's folder: raised with every change of the order in which a search simulates, or of what a step keeps."""
 
 PLAN = "tune.yaml"

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 __all__ = ["PLAN", "Store", "contents", "read_plan"]
 
-FORMAT = 1
+FORMAT = 2
 """Of a campaign's folder: raised with every change of what a chunk holds."""
 
 PLAN, SUMMARY, WORST = "campaign.yaml", "summary.json", "worst-run.yaml"

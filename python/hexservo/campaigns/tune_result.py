@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hexservo.campaigns.requirements import Requirement
+from hexservo.campaigns.requirements import Requirement, distance_of
 from hexservo.campaigns.result import CampaignResult
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict, picked
@@ -85,7 +85,9 @@ class TuneResult(Findings):
     feasible: bool  # whether all requirements hold in all variations of the search
     margin: float  # smallest one over these
     worst: tuple[float, ...]  # largest value of each minimised metric over these, in its unit; NaN where a run has none
-    before: tuple[float, ...]  # margin and metrics of the original gains, over the same variations and noise
+    before: tuple[float, ...]  # margin and metrics of the scenario's own gains, over the same variations and noise
+    before_is_better: bool  # whether these come before the gains found, by each of the metrics
+    excluded: tuple[str, ...]  # keys whose original gains no candidate has: beyond their range, or unequal in a group
     gains: Mapping[str, Any]  # by dotted key
     edges: tuple[Edge, ...]  # of these gains
     loop: Mapping[str, float]  # what is required of the loop -> its number with the gains; NaN: none
@@ -115,10 +117,9 @@ class TuneResult(Findings):
             return f"The requirements hold, but in some variation the run has no {' and no '.join(lost)}."
         if not self.relaxations:
             least = f"the smallest margin of the best gains is {number(self.margin)}"
-            if self.margin > -1.0:  # below it is a run that does not end, or a metric without a value
-                least = (
-                    f"with every bound relaxed by {number(-self.margin)} of its scale, the best gains keep all of them"
-                )
+            if self.margin > -1.0:  # else a run ended early, or a metric has no value
+                change = number(-distance_of(self.margin))
+                least = f"with every bound relaxed by {change} of its scale, the best gains keep all of them"
             return f"No requirement was found whose relaxation alone helps; {least}."
         first = self.relaxations[0]
         return (
@@ -152,10 +153,15 @@ class TuneResult(Findings):
         return Section("tuning", "Tuning", self._sentences(), items, self._verdict(), self._data())
 
     def _verdict(self) -> Verdict:
-        """Return that of the runs which the search never used; bad for gains that are not feasible."""
+        """Return that of the runs which the search never used; bad for gains that are not feasible.
+
+        It is not good where a failing case is known, or the original gains are better.
+        """
         if not self.feasible:
             return "bad"
-        return "open" if self.held_out is None else self.held_out.section().verdict
+        verdict = "open" if self.held_out is None else self.held_out.section().verdict
+        is_doubtful = self.worst_margin < 0 or self.before_is_better
+        return "warning" if verdict == "good" and is_doubtful else verdict
 
     def sections(self) -> list[Section]:
         """Return the result, the course of the search and, for two metrics, the front."""
@@ -192,19 +198,35 @@ class TuneResult(Findings):
                 f"That is biased, since the search chose by it. In variations that it never used {', '.join(parts)}, "
                 f"and {self.held_out.section().sentences[0]}"
             )
+        if self.before_is_better:
+            sentences.append(f"The original gains are better over the variations of the search{self._remedy}")
+        elif self.excluded:
+            sentences.append(f"No candidate has the original {self._exclusion}.")
         if self.edges:
             where = "; ".join(edge.text for edge in self.edges)
             sentences.append(f"Gains at the edge of their range: {where}. A wider range may have better ones.")
+        least = f"the smallest margin that it found is {number(self.worst_margin)}"
         if self.settled:
-            worse = f"The last search for a worse case found none; {self.joined} worst cases are among the variations."
+            fails = f"{least}; " if self.worst_margin < 0 else ""
+            worse = f"none; {fails}{self.joined} worst cases are among the variations"
         else:
-            worse = (
-                "The last search for a worse case found one, which did not join, since the rounds had ended; the "
-                f"smallest margin that it found is {number(self.worst_margin)}."
-            )
-        sentences.append(worse)
+            worse = f"one, which did not join, since the rounds had ended; {least}"
+        sentences.append(f"The last search for a worse case found {worse}.")
         sentences.append(f"The search simulated {self.runs} runs (seed {self.seed}).")
         return sentences
+
+    @property
+    def _exclusion(self) -> str:
+        """The keys whose original gains no candidate has, with the reason."""
+        exclude = "exclude it" if len(self.excluded) == 1 else "exclude them"
+        return f"{' and '.join(self.excluded)}, since the ranges and groups of tune.variables {exclude}"
+
+    @property
+    def _remedy(self) -> str:
+        """The end of the sentence that the original gains are better."""
+        if self.excluded:
+            return f"; no candidate has their {self._exclusion}. Widen these, or keep the original gains."
+        return ". Keep them, or search with more generations."
 
     def _data(self) -> dict[str, Any]:
         return {
@@ -213,6 +235,8 @@ class TuneResult(Findings):
             "minimise": list(self.minimise),
             "worst": list(self.worst),
             "before": list(self.before),
+            "before_is_better": self.before_is_better,
+            "excluded": list(self.excluded),
             "gains": dict(self.gains),
             "edges": {edge.gain: edge.end for edge in self.edges},
             "loop": dict(self.loop),
@@ -240,7 +264,7 @@ class TuneResult(Findings):
                 "runs",
                 "smallest margin",
                 [
-                    Line(name, runs[kind], np.maximum(margins[kind], -2.0), "points")
+                    Line(name, runs[kind], margins[kind], "points")
                     for name, kind in (("requirements hold", margins >= 0), ("requirements do not hold", margins < 0))
                     if kind.any()
                 ],

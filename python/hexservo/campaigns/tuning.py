@@ -215,8 +215,8 @@ def _finished(search: _Search, plan: CampaignPlan, folder: Path, threads: int | 
     """Check the gains on other variations, and write the folder."""
     candidates = search.candidates
     candidates.renew()
-    both = candidates.judged(np.stack([search.best, search.start]))
-    feasible = bool(both.feasible[0])
+    winner, original = candidates.judged(search.best[None]), candidates.original()
+    feasible = bool(winner.feasible[0])
     scenario = plan.scenario.updated(candidates.gains(search.best))
     write_scenario(folder / _TUNED, scenario.to_yaml())
     held_out: CampaignResult | None = None
@@ -238,14 +238,16 @@ def _finished(search: _Search, plan: CampaignPlan, folder: Path, threads: int | 
     result = TuneResult(
         scenario=scenario,
         feasible=feasible,
-        margin=float(both.smallest[0]),
-        worst=tuple(map(float, both.values[0])),
-        before=(float(both.smallest[1]), *map(float, both.values[1])),
+        margin=float(winner.smallest[0]),
+        worst=tuple(map(float, winner.values[0])),
+        before=(float(original.smallest[0]), *map(float, original.values[0])),
+        before_is_better=original.beats(winner),
+        excluded=candidates.excluded(),
         gains=candidates.gains(search.best),
         edges=edges_of(candidates, search.best),
         loop={
             str(one): value
-            for one, value in zip(candidates.asked.subject_to, candidates.loop_numbers(search.best), strict=True)
+            for one, value in zip(candidates.asked.subject_to, candidates.loop_numbers(scenario), strict=True)
         },
         held_out=held_out,
         relaxations=() if feasible else _relaxations(candidates, plan),
@@ -301,14 +303,14 @@ def _relaxations(candidates: Candidates, plan: CampaignPlan) -> tuple[Relaxation
             continue
         place = candidates.nearest_places[column]
         judged = candidates.other_runs(place, other, runs)
-        margin, kept = nearest, judged.margins >= 0
+        distance, kept = nearest, judged.margins >= 0
         if column < len(plan.require):  # else a number of the loop, which no run changes
             distances = judged.distances[:, column]
-            margin = np.nanmin([nearest, *distances])
+            distance = np.nanmin([nearest, *distances])
             kept[:, column] = np.isfinite(distances)
         failures = int((~kept.all(axis=1)).sum())
         found.append(
-            Relaxation(one, one.bound_at(float(margin)), float(-margin), candidates.gains(place), failures, runs)
+            Relaxation(one, one.bound_at(float(distance)), float(-distance), candidates.gains(place), failures, runs)
         )
     return tuple(sorted(found, key=lambda each: each.share))
 

@@ -44,7 +44,8 @@ def summary_section(summary: dict[str, Any]) -> Section:
                 "Smallest margins",
                 (Column("run"), Column("margin")),
                 worst,
-                "Distance to the nearest bound in parts of it; negative: the run fails.",
+                "Distance to the nearest bound in parts of its scale. Negative: the run fails, at -1 or below since a "
+                "metric has no value or the run ended early.",
             ),
         ]
     return Section(

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hexservo.campaigns.judging import Judge
+from hexservo.campaigns.requirements import ranks_of
 from hexservo.campaigns.result import CampaignResult, command_with_changes, scenario_and_changes
 from hexservo.campaigns.store import WORST, require_own_scenario, write_scenario
 from hexservo.campaigns.words import of_common_noise
@@ -52,7 +53,7 @@ class WorstCase(Findings):
     seed: int  # of the search
     common_noise: int | None  # seed of the noise that all runs share; None where each has its own, or none is random
     command: str  # that runs the packaged scenario with what varies; "" where the campaign varies no packaged one
-    diagnosis: Diagnosis | None = field(default=None)  # of the run, where it fails
+    diagnosis: Diagnosis | None = field(default=None)  # of the run, where its margin is negative
 
     def headline(self) -> str:
         """Return a line that names the scenario."""
@@ -60,10 +61,11 @@ class WorstCase(Findings):
 
     def section(self) -> Section:
         """Return the margin in sentences, and the smallest one of each requirement."""
-        verdict = "fails" if self.margin < 0 else "passes"
+        found = "fails" if self.margin < 0 else "passes"
+        drawn = ", which fails" if self.drawn_margin < 0 else ""
         sentences = [
-            f"The worst case found {verdict}: its margin is {number(self.margin)}; the smallest one of the campaign's "
-            f"own runs is {number(self.drawn_margin)}.",
+            f"The worst case found {found}: its margin is {number(self.margin)}; the smallest one of the campaign's "
+            f"own runs is {number(self.drawn_margin)}{drawn}.",
             f"It is the worst of {self.runs} runs of a search (seed {self.seed}), which proves no bound.",
         ]
         if self.common_noise is not None:
@@ -80,7 +82,8 @@ class WorstCase(Findings):
         table = Table("Smallest margin found", columns, rows, "", "docs/campaigns.md")
         margins = {"margin": self.margin, "margins": dict(self.margins)}
         data = {**margins, **picked(self, "runs seed common_noise")}
-        return Section("worst_case", "Worst case", sentences, [table], "bad" if self.margin < 0 else "good", data)
+        failure = min(self.margin, self.drawn_margin) < 0
+        return Section("worst_case", "Worst case", sentences, [table], "bad" if failure else "open", data)
 
 
 def worst_case(
@@ -130,18 +133,19 @@ def worst_case(
     if not starts or not drawing.dimension:
         raise ValueError("result: expected a campaign with runs, in which more than seeds varies")
 
-    # over all searches: the smallest margin of a run, with where it is, and that of each requirement
-    margin, place, start = math.inf, drawing.shares(starts[0]), starts[0]
+    # over all searches: the worst run, with where it is, and the smallest margin of each requirement
+    rank, place, start = (math.inf, math.inf), drawing.shares(starts[0]), starts[0]
     least = np.full(len(plan.require), math.inf)
 
     def search(columns: Sequence[int], begin: int) -> None:
         def smallest(shares: Array) -> Array:
-            nonlocal margin, place, start, least
+            nonlocal rank, place, start, least
             margins, _ = judge.judged(drawing.numbers_at(shares, begin))
             least = np.minimum(least, margins.min(axis=0))
-            worst = int(margins.min(axis=1).argmin())
-            if margins[worst].min() < margin:
-                margin, place, start = float(margins[worst].min()), shares[worst], begin
+            ranks = [(float(smallest), float(total)) for smallest, total in ranks_of(margins)]
+            worst = min(range(len(ranks)), key=ranks.__getitem__)
+            if ranks[worst] < rank:
+                rank, place, start = ranks[worst], shares[worst], begin
             return np.asarray(margins[:, columns].min(axis=1))
 
         smallest_in_box(smallest, drawing.shares(begin), runs // len(starts), seed + 1 + begin)
@@ -151,7 +155,7 @@ def worst_case(
     for columns in (range(len(plan.require)), *([column] for column in alone)):
         for begin in starts:
             search(columns, begin)
-    law = judge.base.controller.law
+    law, margin = judge.base.controller.law, rank[0]
     drawn = drawing.variations(drawing.numbers_at(place[None], start))
     scenario, changes = scenario_and_changes(plan.scenario, drawing.base | changes_of_run(drawn, law))
     write_scenario(result.folder / CASE, scenario.to_yaml())
