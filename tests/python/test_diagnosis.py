@@ -44,6 +44,7 @@ from hexservo.scenario.pixels import desired_features, points_outside
 from hexservo.scenario.scenario import Scenario
 from keys_without_cause import HARMLESS, IN_COMMON
 from packaged import one_of_each_kind
+from rescaled import rescaled
 
 ROOT = Path(__file__).resolve().parents[2]
 KEYS = tuple(cause.key for cause in CAUSES)
@@ -295,6 +296,30 @@ def times_as_heavy(scenario: hs.Scenario, factor: float) -> dict[str, Any]:
             key = f"controller.{law}.{name}"
             changes[key] = (np.asarray(value_at(scenario, key)) * factor**power).tolist()
     return changes
+
+
+RESCALED = ("fails-spring", "fails-stiction", "fails-coarse-step", "fails-poor-image", "unknown-payload")
+QUICK = {("fails-spring", 1 / 16), ("fails-coarse-step", 4.0)}
+
+
+@pytest.mark.parametrize(
+    ("name", "length"),
+    [
+        pytest.param(name, length, marks=[] if (name, length) in QUICK else [pytest.mark.slow])
+        for name in RESCALED
+        for length in (1 / 64, 1 / 16, 4.0, 16.0)
+    ],
+)
+def test_a_larger_or_smaller_machine_has_the_same_causes(name: str, length: float) -> None:
+    """Every quantity is scaled by its unit, with the mass as the cube of the length: powers of two, to the last bit."""
+    result = hs.simulate(rescaled(hs.load_scenario(name), length, length**3))
+    np.testing.assert_array_equal(result.feature_error, diagnosis_of(name).result.feature_error)
+    found = hs.diagnose(result)
+    expected = diagnosis_of(name).causes
+    assert [(one.cause, one.named, one.alone) for one in found.causes] == [
+        (one.cause, one.named, one.alone) for one in expected
+    ]
+    assert [one.score for one in found.causes] == pytest.approx([one.score for one in expected], abs=1e-6)
 
 
 def test_settings_of_a_law_that_suit_another_mass_are_ordinary() -> None:
