@@ -29,7 +29,7 @@ from hexservo.findings.analysis.reach import reach_of_start_and_goal
 from hexservo.findings.diagnosis import ranking
 from hexservo.findings.diagnosis.causes import CAUSES
 from hexservo.findings.diagnosis.criterion import DRIFT_TIME, Allowed, Record, judge, make_record
-from hexservo.findings.diagnosis.environment import ORDINARY, alone_pairs, ideal, known, ordinary
+from hexservo.findings.diagnosis.environment import alone_pairs, ideal, known, ordinary, ordinary_base, ordinary_devices
 from hexservo.findings.diagnosis.evidence import SIGNATURES
 from hexservo.findings.diagnosis.gains import slower
 from hexservo.findings.diagnosis.goal import goal_of, pixels_per_metre, seen_from_home, spread_target
@@ -246,12 +246,47 @@ def test_a_scenario_without_faults_has_devices_that_are_ordinary_or_better() -> 
     assert without.actuators.bandwidth is None
     assert without.uncertainty.gravity == 0.0
     assert without.base_motion.kind == "none"
-    assert without.sensors.noise == 4e-7 <= ORDINARY["sensors.noise"]  # ordinary: stays
+    assert without.sensors.noise == 4e-7 <= ordinary_devices(scenario)["sensors.noise"]  # ordinary: stays
     assert without.sensors.pose == "encoders"
     assert ideal(without) == {}
     raised = scenario.updated({"controller.composite.kt": 1.0, "controller.law": "composite"})
     usual = np.asarray(type(scenario.controller)().composite.kt)
     assert ordinary(raised)["controller.composite.kt"] == usual.tolist()
+
+
+def test_what_is_ordinary_grows_with_the_machine() -> None:
+    """As lengths and forces of `micro` do, but no more than a shorter stroke; of cranks by their length."""
+    micro = hs.load_scenario("fails-spring")
+    assert ordinary_devices(micro)["sensors.noise"] == 5e-7
+    assert ordinary_base(micro) == 0.05
+    larger = ordinary_devices(rescaled(micro, 4.0, 100.0))
+    assert larger["sensors.noise"] == larger["sensors.resolution"] == pytest.approx(4 * 5e-7)
+    assert larger["actuators.quantisation"] == pytest.approx(400 * 1e-3)
+    assert larger["camera.noise"] == ordinary_devices(micro)["camera.noise"]
+    short = micro.updated({"robot.stroke": 0.0017})
+    assert ordinary_devices(short)["sensors.noise"] == pytest.approx(5e-8)
+    assert ordinary_base(short) == pytest.approx(0.005)
+    head = hs.load_scenario("reachy-mini-head")
+    gyration = math.sqrt(np.trace(head.robot.inertia) / 3.0 / head.robot.mass) / math.sqrt(2e-4 / 0.06)
+    assert ordinary_devices(head)["sensors.resolution"] == pytest.approx(5e-7 * gyration / 0.04)  # [rad]
+    torque = 1e-3 * head.robot.mass / 0.06 * gyration * 0.04
+    assert ordinary_devices(head)["actuators.quantisation"] == pytest.approx(torque)  # [N m]
+
+
+@pytest.mark.parametrize(
+    ("length", "mass", "key", "value", "cause"),
+    [
+        (1 / 256, 1 / 256, "sensors.noise", 4.9e-7, "encoder_noise"),  # 1 % of the stroke of 44 um
+        (1 / 16, 1 / 4096, "actuators.quantisation", 1e-3, "actuator_quantisation"),  # of a weight of 0.75 mN
+    ],
+)
+def test_devices_too_coarse_for_a_small_machine_are_the_cause(
+    length: float, mass: float, key: str, value: float, cause: str
+) -> None:
+    """They would be ordinary on `micro`."""
+    small = rescaled(hs.load_scenario("pi-h824"), length, mass)
+    diagnosis = hs.diagnose(hs.simulate(small.updated({key: value, "simulation.duration": 1.0})))
+    assert [finding.cause for finding in diagnosis.named] == [cause]
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -338,6 +373,9 @@ def test_a_cause_within_what_is_ordinary_is_not_named() -> None:
     assert noise.without.works
     assert noise.alone is False
     assert not noise.named
+    assert "features without noise: that helps, but it is not the cause: it is ordinary, or" in " ".join(
+        diagnosis.section().sentences
+    )
 
 
 def test_a_payload_that_is_not_known_is_not_ordinary() -> None:

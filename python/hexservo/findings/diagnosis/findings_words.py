@@ -19,7 +19,8 @@ _WEAK = 0.3  # score up to which recorded signals speak for no cause
 _AT_REST = 1e-3  # of the stroke, that legs move which do not act
 _HELPERS = 3  # most removals that are named which help and are not the cause
 _NOT_NAMED = {  # fails alone -> why a removal that helps is not named as the cause
-    False: "that helps, but alone it makes no scenario without other faults fail, so it is not the cause.",
+    False: "that helps, but it is not the cause: it is ordinary, or alone it makes no scenario without other faults "
+    "fail.",
     True: "alone it makes a scenario without other faults fail too, but it is not named: its settings are ordinary, "
     "small random changes cure the run as well, or the run has not come to rest.",
     None: "that helps, but it could not be tested alone: without any fault, and for a setting of the law with default "
