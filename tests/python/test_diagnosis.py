@@ -36,6 +36,7 @@ from hexservo.findings.diagnosis.goal import goal_of, pixels_per_metre, seen_fro
 from hexservo.findings.diagnosis.model import Case, Removal
 from hexservo.findings.diagnosis.ranking import Study, controls, judged, make_cases, pairs, rank, study
 from hexservo.findings.diagnosis.runs import Run, record_of, run_all
+from hexservo.findings.diagnosis.words import ends
 from hexservo.findings.evidence import Curves, Table
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.laws import ALL_LAWS, LAWS
@@ -536,6 +537,16 @@ def test_noise_is_seldom_taken_for_a_drift() -> None:
     flat = np.zeros(501)
     drifts = [record_by_hand(flat, random.normal(0.0, 1e-4, 501)).drift for _ in range(200)]
     assert max(drifts) < 0.1 * 0.017 / DRIFT_TIME
+
+
+def test_a_drift_is_reported_from_a_fifth_of_what_is_allowed_on() -> None:
+    """A stroke of 17 mm allows 0.57 mm/s, and one of 0.06 mm, of a small machine, 0.002 mm/s."""
+    scenario = hs.load_scenario("fails-stiction")
+    micro, small = scenario.robot, scenario.updated({"robot.stroke": 6e-5}).robot
+    assert "drifts" not in ends("completed", 5.0, 1e-3, 1e-4, micro)
+    assert "and still drifts at 0.2 mm/s" in ends("completed", 5.0, 1e-3, 2e-4, micro)
+    assert "drifts" not in ends("completed", 5.0, 1e-5, 3e-7, small)
+    assert "and still drifts at 0.0015 mm/s" in ends("completed", 5.0, 1e-5, 1.5e-6, small)
 
 
 def test_a_random_walk_is_seldom_taken_for_a_drift() -> None:
