@@ -24,7 +24,7 @@ import hexservo as hs
 from diagnosis_faults import CAUSES as FAULTY
 from diagnosis_faults import FAULTS, KEPT_APART, shipped
 from diagnosis_faults import variation as draw
-from diagnosis_statistics import count, failing, totals
+from diagnosis_statistics import count, failing, of_size, totals
 from hexservo.findings.analysis.reach import reach_of_start_and_goal
 from hexservo.findings.diagnosis import ranking
 from hexservo.findings.diagnosis.causes import CAUSES
@@ -356,6 +356,21 @@ def test_a_larger_or_smaller_machine_has_the_same_causes(name: str, length: floa
         (one.cause, one.named, one.alone) for one in expected
     ]
     assert [one.score for one in found.causes] == pytest.approx([one.score for one in expected], abs=1e-6)
+
+
+def test_random_failures_are_the_same_on_a_machine_of_another_size() -> None:
+    """Where nothing is a velocity both linear and angular: those of the statistics' option --scale."""
+    drawn = [draw("stiction", seed) for seed in range(4)]
+    sized = of_size(drawn, 1 / 16)
+    assert [one.seed for one in sized] == [0, 1, 2, 3]
+    assert sized[0].scenario.robot.stroke == drawn[0].scenario.robot.stroke / 16
+    runs = run_all([Run(one.scenario) for one in (*drawn, *sized)])
+    for first, second in zip(runs[:4], runs[4:], strict=True):
+        assert first is not None
+        assert second is not None
+        assert second.error == pytest.approx(first.error, rel=1e-6)
+    blurred = hs.load_scenario("paper-composite").updated({"controller.switching.kind": "tanh"})
+    assert of_size([dataclasses.replace(drawn[0], scenario=blurred)], 1 / 16) == []
 
 
 def test_settings_of_a_law_that_suit_another_mass_are_ordinary() -> None:
