@@ -373,6 +373,13 @@ def test_random_failures_are_the_same_on_a_machine_of_another_size() -> None:
     assert of_size([dataclasses.replace(drawn[0], scenario=blurred)], 1 / 16) == []
 
 
+def test_a_filter_of_the_target_is_compared_with_that_of_the_machine_s_size() -> None:
+    """The accelerations and speeds of the defaults are those of targets of `micro`: 64 times those of a small one."""
+    (small,) = of_size([draw("target_filter", KEPT_APART + 3)], 1 / 64)
+    diagnosis = hs.diagnose(hs.simulate(small.scenario))
+    assert [finding.cause for finding in diagnosis.named] == ["target_filter"]
+
+
 def test_settings_of_a_law_that_suit_another_mass_are_ordinary() -> None:
     """To rounding: 0.9 kg is no power of two times the mass of the defaults."""
     scenario = hs.load_scenario("fails-spring").updated({"controller.law": "hybrid"})

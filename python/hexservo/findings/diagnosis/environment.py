@@ -125,7 +125,7 @@ def default_brake(scenario: Scenario) -> dict[str, None]:
 def ordinary(scenario: Scenario) -> dict[str, Any]:
     """Return the changes to ordinary settings of the same law: its defaults, and a fine step."""
     usual = default_gains(scenario)
-    changes = {key: wanted for key, wanted in usual.items() if _differs(value_at(scenario, key), wanted)}
+    changes = {key: wanted for key, wanted in usual.items() if differs(value_at(scenario, key), wanted)}
     sampled = scenario.simulation.mode == "sampled"
     kind = "implicit" if sampled else "sign"
     switching = scenario.controller.switching
@@ -143,7 +143,7 @@ def ordinary(scenario: Scenario) -> dict[str, Any]:
     return changes
 
 
-def _differs(own: Any, wanted: Any) -> bool:
+def differs(own: Any, wanted: Any) -> bool:
     """Return whether two values differ, numbers by more than rounding."""
     if _numeric(own) and _numeric(wanted):
         return not np.allclose(own, wanted, rtol=_ROUNDING, atol=0.0)
