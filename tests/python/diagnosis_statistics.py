@@ -2,7 +2,8 @@
 
     python tests/python/diagnosis_statistics.py --failures 60
 
-prints the table of docs/diagnosis/ranking.md. Faults, ranges and seeds: diagnosis_faults.py.
+prints the table of docs/diagnosis/ranking.md, and with `--scale 16` that of machines 16 times as large (rescaled.py).
+Faults, ranges and seeds: diagnosis_faults.py.
 
 A fault is the cause of a failure if the run fails with it and passes without it, whatever the seed of the noise: three
 seeds each. Where they differ, chance has a share in the cause; those failures are diagnosed and counted apart.
@@ -13,7 +14,7 @@ from __future__ import annotations
 import argparse
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from scipy.stats import beta
 
@@ -21,6 +22,7 @@ from diagnosis_faults import CAUSES, KEPT_APART, Variation, variation
 from hexservo.findings.diagnosis.criterion import Judgement
 from hexservo.findings.diagnosis.ranking import Study, judged, make_cases, pairs, rank, study
 from hexservo.findings.diagnosis.runs import Run, run_all
+from rescaled import is_rescalable, rescaled
 
 BATCH = 32  # variations that are drawn at once
 MOST_DRAWN = 20  # times the failures that are asked for: causes that hardly ever make a run fail give fewer
@@ -65,9 +67,24 @@ class Count:
     blamed: Counter[str] = field(default_factory=Counter)  # cause that was named with the right one withheld
 
 
-def failing(cause: str, seeds: range, threads: int = 2) -> list[Failure]:
+def of_size(drawn: Sequence[Variation], scale: float) -> list[Variation]:
+    """Give variations of machines with so many times the lengths, and masses as their cubes, without what has none."""
+    return [
+        replace(
+            one,
+            baseline=rescaled(one.baseline, scale, scale**3),
+            scenario=rescaled(one.scenario, scale, scale**3),
+        )
+        for one in drawn
+        if is_rescalable(one.baseline) and is_rescalable(one.scenario)
+    ]
+
+
+def failing(cause: str, seeds: range, threads: int = 2, scale: float = 1.0) -> list[Failure]:
     """Draw variations, and keep those that fail while their baseline passes."""
     drawn = [variation(cause, seed) for seed in seeds]
+    if scale != 1.0:
+        drawn = of_size(drawn, scale)
     before = run_all([Run(one.baseline) for one in drawn], threads)
     after = run_all([Run(one.scenario) for one in drawn], threads)
     kept = []
@@ -94,12 +111,14 @@ def failing(cause: str, seeds: range, threads: int = 2) -> list[Failure]:
     ]
 
 
-def studied(cause: str, failures: int, first_seed: int, threads: int) -> tuple[list[tuple[Failure, Study]], int]:
+def studied(
+    cause: str, failures: int, first_seed: int, threads: int, scale: float
+) -> tuple[list[tuple[Failure, Study]], int]:
     """Draw until so many failures are certain, and make the runs of a diagnosis; also give how many were drawn."""
     found: list[tuple[Failure, Study]] = []
     drawn = 0
     while sum(one.certain for one, _ in found) < failures and drawn < MOST_DRAWN * failures:
-        kept = failing(cause, range(first_seed + drawn, first_seed + drawn + BATCH), threads)
+        kept = failing(cause, range(first_seed + drawn, first_seed + drawn + BATCH), threads, scale)
         drawn += BATCH
         left = failures - sum(one.certain for one, _ in found)
         for end, one in enumerate(kept):
@@ -112,9 +131,9 @@ def studied(cause: str, failures: int, first_seed: int, threads: int) -> tuple[l
     return found, drawn
 
 
-def count(cause: str, failures: int, first_seed: int = KEPT_APART, threads: int = 2) -> Count:
+def count(cause: str, failures: int, first_seed: int = KEPT_APART, threads: int = 2, scale: float = 1.0) -> Count:
     """Diagnose so many failures of one cause, with it on the list and without."""
-    items, drawn = studied(cause, failures, first_seed, threads)
+    items, drawn = studied(cause, failures, first_seed, threads, scale)
     found = Count(cause, drawn)
     for number, (one, given) in enumerate(items):
         tally = found.certain if one.certain else found.by_chance
@@ -168,6 +187,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=KEPT_APART, help="the first one")
     parser.add_argument("--cause", action="append", choices=CAUSES, help="all, if not given")
     parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--scale", type=float, default=1.0, help="lengths over those of micro; masses as its cube")
     given = parser.parse_args()
     print(f"Seeds from {given.seed} on.\n")
     print(
@@ -177,7 +197,7 @@ def main() -> None:
     print("| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |")
     counts = []
     for cause in given.cause or CAUSES:
-        counts.append(count(cause, given.failures, given.seed, given.threads))
+        counts.append(count(cause, given.failures, given.seed, given.threads, given.scale))
         print(row(counts[-1]), f"wrong, by seed: {counts[-1].misses}", flush=True)
     for what, total in zip(("certain", "by chance"), totals(counts), strict=True):
         for name in ("first", "named", "wrong", "withheld_wrong"):

@@ -31,8 +31,10 @@ from hexservo.findings.analysis.loop_of_scenario import (
     scaled,
 )
 from hexservo.findings.analysis.scene import scene_of
+from hexservo.findings.diagnosis.size import MachineSize
 from hexservo.findings.evidence import HeatMap, Table, as_data
 from hexservo.scenario.parameters import core_parameters
+from rescaled import rescaled
 
 Array = NDArray[np.float64]
 
@@ -457,6 +459,19 @@ def test_the_linear_plant_is_newton_and_euler() -> None:
     scale = np.abs(pushed).max()
     np.testing.assert_allclose(plant.held_state[6:, :6] / tick, pushed, atol=2e-4 * scale)
     np.testing.assert_allclose(plant.held_force[6:] / tick, plant.acceleration, rtol=0, atol=1.0)
+
+
+@pytest.mark.parametrize("length", [1 / 256, 16.0])
+def test_the_linear_plant_of_a_machine_of_another_size_is_scaled(length: float) -> None:
+    """To 1e-6 of its largest entry: a platform of some micrograms flies far by a force that hardly moves another."""
+    scenario = quiet(hs.load_scenario("real-machine"))
+    other = rescaled(scenario, length, length**3)
+    plants = [linear_plant(one, rest_of(one, scene_of(one)).view.pose) for one in (scenario, other)]
+    size = MachineSize(length**3, length)
+    for rows, part in (("m; rad", slice(0, 6)), ("m/s; rad/s", slice(6, 12))):
+        first, second = (plant.held_force[part] for plant in plants)
+        back = second / size.scale(rows)[:, None] * size.scale("N; N m")
+        np.testing.assert_allclose(back, first, rtol=0, atol=1e-6 * np.abs(first).max())
 
 
 # ---- Borders against runs -------------------------------------------------------------------------------------------

@@ -24,18 +24,19 @@ import hexservo as hs
 from diagnosis_faults import CAUSES as FAULTY
 from diagnosis_faults import FAULTS, KEPT_APART, shipped
 from diagnosis_faults import variation as draw
-from diagnosis_statistics import count, failing, totals
+from diagnosis_statistics import count, failing, of_size, totals
 from hexservo.findings.analysis.reach import reach_of_start_and_goal
 from hexservo.findings.diagnosis import ranking
 from hexservo.findings.diagnosis.causes import CAUSES
 from hexservo.findings.diagnosis.criterion import DRIFT_TIME, Allowed, Record, judge, make_record
-from hexservo.findings.diagnosis.environment import ORDINARY, alone_pairs, ideal, known, ordinary
+from hexservo.findings.diagnosis.environment import alone_pairs, ideal, known, ordinary, ordinary_base, ordinary_devices
 from hexservo.findings.diagnosis.evidence import SIGNATURES
 from hexservo.findings.diagnosis.gains import slower
 from hexservo.findings.diagnosis.goal import goal_of, pixels_per_metre, seen_from_home, spread_target
 from hexservo.findings.diagnosis.model import Case, Removal
 from hexservo.findings.diagnosis.ranking import Study, controls, judged, make_cases, pairs, rank, study
 from hexservo.findings.diagnosis.runs import Run, record_of, run_all
+from hexservo.findings.diagnosis.words import ends
 from hexservo.findings.evidence import Curves, Table
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.laws import ALL_LAWS, LAWS
@@ -44,6 +45,7 @@ from hexservo.scenario.pixels import desired_features, points_outside
 from hexservo.scenario.scenario import Scenario
 from keys_without_cause import HARMLESS, IN_COMMON
 from packaged import one_of_each_kind
+from rescaled import rescaled
 
 ROOT = Path(__file__).resolve().parents[2]
 KEYS = tuple(cause.key for cause in CAUSES)
@@ -245,12 +247,47 @@ def test_a_scenario_without_faults_has_devices_that_are_ordinary_or_better() -> 
     assert without.actuators.bandwidth is None
     assert without.uncertainty.gravity == 0.0
     assert without.base_motion.kind == "none"
-    assert without.sensors.noise == 4e-7 <= ORDINARY["sensors.noise"]  # ordinary: stays
+    assert without.sensors.noise == 4e-7 <= ordinary_devices(scenario)["sensors.noise"]  # ordinary: stays
     assert without.sensors.pose == "encoders"
     assert ideal(without) == {}
     raised = scenario.updated({"controller.composite.kt": 1.0, "controller.law": "composite"})
     usual = np.asarray(type(scenario.controller)().composite.kt)
     assert ordinary(raised)["controller.composite.kt"] == usual.tolist()
+
+
+def test_what_is_ordinary_grows_with_the_machine() -> None:
+    """As lengths and forces of `micro` do, but no more than a shorter stroke; of cranks by their length."""
+    micro = hs.load_scenario("fails-spring")
+    assert ordinary_devices(micro)["sensors.noise"] == 5e-7
+    assert ordinary_base(micro) == 0.05
+    larger = ordinary_devices(rescaled(micro, 4.0, 100.0))
+    assert larger["sensors.noise"] == larger["sensors.resolution"] == pytest.approx(4 * 5e-7)
+    assert larger["actuators.quantisation"] == pytest.approx(400 * 1e-3)
+    assert larger["camera.noise"] == ordinary_devices(micro)["camera.noise"]
+    short = micro.updated({"robot.stroke": 0.0017})
+    assert ordinary_devices(short)["sensors.noise"] == pytest.approx(5e-8)
+    assert ordinary_base(short) == pytest.approx(0.005)
+    head = hs.load_scenario("reachy-mini-head")
+    gyration = math.sqrt(np.trace(head.robot.inertia) / 3.0 / head.robot.mass) / math.sqrt(2e-4 / 0.06)
+    assert ordinary_devices(head)["sensors.resolution"] == pytest.approx(5e-7 * gyration / 0.04)  # [rad]
+    torque = 1e-3 * head.robot.mass / 0.06 * gyration * 0.04
+    assert ordinary_devices(head)["actuators.quantisation"] == pytest.approx(torque)  # [N m]
+
+
+@pytest.mark.parametrize(
+    ("length", "mass", "key", "value", "cause"),
+    [
+        (1 / 256, 1 / 256, "sensors.noise", 4.9e-7, "encoder_noise"),  # 1 % of the stroke of 44 um
+        (1 / 16, 1 / 4096, "actuators.quantisation", 1e-3, "actuator_quantisation"),  # of a weight of 0.75 mN
+    ],
+)
+def test_devices_too_coarse_for_a_small_machine_are_the_cause(
+    length: float, mass: float, key: str, value: float, cause: str
+) -> None:
+    """They would be ordinary on `micro`."""
+    small = rescaled(hs.load_scenario("pi-h824"), length, mass)
+    diagnosis = hs.diagnose(hs.simulate(small.updated({key: value, "simulation.duration": 1.0})))
+    assert [finding.cause for finding in diagnosis.named] == [cause]
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -297,6 +334,52 @@ def times_as_heavy(scenario: hs.Scenario, factor: float) -> dict[str, Any]:
     return changes
 
 
+RESCALED = ("fails-spring", "fails-stiction", "fails-coarse-step", "fails-poor-image", "unknown-payload")
+QUICK = {("fails-spring", 1 / 16), ("fails-coarse-step", 4.0)}
+
+
+@pytest.mark.parametrize(
+    ("name", "length"),
+    [
+        pytest.param(name, length, marks=[] if (name, length) in QUICK else [pytest.mark.slow])
+        for name in RESCALED
+        for length in (1 / 64, 1 / 16, 4.0, 16.0)
+    ],
+)
+def test_a_larger_or_smaller_machine_has_the_same_causes(name: str, length: float) -> None:
+    """Every quantity is scaled by its unit, with the mass as the cube of the length: powers of two, to the last bit."""
+    result = hs.simulate(rescaled(hs.load_scenario(name), length, length**3))
+    np.testing.assert_array_equal(result.feature_error, diagnosis_of(name).result.feature_error)
+    found = hs.diagnose(result)
+    expected = diagnosis_of(name).causes
+    assert [(one.cause, one.named, one.alone) for one in found.causes] == [
+        (one.cause, one.named, one.alone) for one in expected
+    ]
+    assert [one.score for one in found.causes] == pytest.approx([one.score for one in expected], abs=1e-6)
+
+
+def test_random_failures_are_the_same_on_a_machine_of_another_size() -> None:
+    """Where nothing is a velocity both linear and angular: those of the statistics' option --scale."""
+    drawn = [draw("stiction", seed) for seed in range(4)]
+    sized = of_size(drawn, 1 / 16)
+    assert [one.seed for one in sized] == [0, 1, 2, 3]
+    assert sized[0].scenario.robot.stroke == drawn[0].scenario.robot.stroke / 16
+    runs = run_all([Run(one.scenario) for one in (*drawn, *sized)])
+    for first, second in zip(runs[:4], runs[4:], strict=True):
+        assert first is not None
+        assert second is not None
+        assert second.error == pytest.approx(first.error, rel=1e-6)
+    blurred = hs.load_scenario("paper-composite").updated({"controller.switching.kind": "tanh"})
+    assert of_size([dataclasses.replace(drawn[0], scenario=blurred)], 1 / 16) == []
+
+
+def test_a_filter_of_the_target_is_compared_with_that_of_the_machine_s_size() -> None:
+    """The accelerations and speeds of the defaults are those of targets of `micro`: 64 times those of a small one."""
+    (small,) = of_size([draw("target_filter", KEPT_APART + 3)], 1 / 64)
+    diagnosis = hs.diagnose(hs.simulate(small.scenario))
+    assert [finding.cause for finding in diagnosis.named] == ["target_filter"]
+
+
 def test_settings_of_a_law_that_suit_another_mass_are_ordinary() -> None:
     """To rounding: 0.9 kg is no power of two times the mass of the defaults."""
     scenario = hs.load_scenario("fails-spring").updated({"controller.law": "hybrid"})
@@ -313,6 +396,9 @@ def test_a_cause_within_what_is_ordinary_is_not_named() -> None:
     assert noise.without.works
     assert noise.alone is False
     assert not noise.named
+    assert "features without noise: that helps, but it is not the cause: it is ordinary, or" in " ".join(
+        diagnosis.section().sentences
+    )
 
 
 def test_a_payload_that_is_not_known_is_not_ordinary() -> None:
@@ -473,6 +559,16 @@ def test_noise_is_seldom_taken_for_a_drift() -> None:
     flat = np.zeros(501)
     drifts = [record_by_hand(flat, random.normal(0.0, 1e-4, 501)).drift for _ in range(200)]
     assert max(drifts) < 0.1 * 0.017 / DRIFT_TIME
+
+
+def test_a_drift_is_reported_from_a_fifth_of_what_is_allowed_on() -> None:
+    """A stroke of 17 mm allows 0.57 mm/s, and one of 0.06 mm, of a small machine, 0.002 mm/s."""
+    scenario = hs.load_scenario("fails-stiction")
+    micro, small = scenario.robot, scenario.updated({"robot.stroke": 6e-5}).robot
+    assert "drifts" not in ends("completed", 5.0, 1e-3, 1e-4, micro)
+    assert "and still drifts at 0.2 mm/s" in ends("completed", 5.0, 1e-3, 2e-4, micro)
+    assert "drifts" not in ends("completed", 5.0, 1e-5, 3e-7, small)
+    assert "and still drifts at 0.0015 mm/s" in ends("completed", 5.0, 1e-5, 1.5e-6, small)
 
 
 def test_a_random_walk_is_seldom_taken_for_a_drift() -> None:

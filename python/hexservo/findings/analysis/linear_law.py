@@ -305,20 +305,22 @@ def linear_plant(scenario: Scenario, pose: Poses) -> LinearPlant:
         position, quaternion, rates = _core.drive_legs(hexapod, body, error, *place, forces, step, substeps)
         return Poses(position.reshape(-1, 3)[-1], quaternion.reshape(-1, 4)[-1]), rates.reshape(-1, 6)[-1]
 
-    def columns(at: Callable[[Array], tuple[Poses, Array, Array]], size: float) -> Array:
-        both = [[pushed(*at(sign * size * e)) for sign in (1.0, -1.0)] for e in np.eye(6)]
+    def columns(at: Callable[[Array], tuple[Poses, Array, Array]], sizes: Array) -> Array:
+        both = [[pushed(*at(sign * move)) for sign in (1.0, -1.0)] for move in np.diag(sizes)]
         found = [np.concatenate([up[0].displacement_from(down[0]), up[1] - down[1]]) for up, down in both]
-        return np.asarray(np.column_stack(found) / (2.0 * size))
+        return np.asarray(np.column_stack(found) / (2.0 * sizes))
 
-    held = [
-        columns(lambda d: (pose.moved(d), still, resting), _POSE_STEP),
-        columns(lambda d: (pose, d, resting), _TWIST_STEP),
-    ]
-    force = columns(lambda w: (pose, still, resting + to_legs @ w), 1e-3)
     # Affine in the wrench: differences are exact.
     wrenches = np.vstack([np.zeros(6), np.eye(6)])
     poses = (np.tile(pose.position, (7, 1)), np.tile(pose.quaternion, (7, 1)))
     given = _core.Probe(settings).acceleration(*poses, np.zeros((7, 6)), wrenches)
     acceleration = np.asarray((given[1:] - given[0]).T)
+    # what changes a twist by its step within the tick: the same force is much for one platform, and little for another
+    pushes = _TWIST_STEP / (np.abs(acceleration).max(axis=0) * scenario.simulation.step)
+    held = [
+        columns(lambda d: (pose.moved(d), still, resting), np.full(6, _POSE_STEP)),
+        columns(lambda d: (pose, d, resting), np.full(6, _TWIST_STEP)),
+    ]
+    force = columns(lambda w: (pose, still, resting + to_legs @ w), pushes)
     stiffness = _differences(6, _POSE_STEP, lambda d: wrench_map(d) @ resting)
     return LinearPlant(acceleration, stiffness, np.hstack(held), force)

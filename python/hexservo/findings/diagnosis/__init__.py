@@ -13,7 +13,6 @@ from hexservo.findings.diagnosis.ranking import Trial, judged, make_cases, pairs
 from hexservo.findings.diagnosis.runs import Run, record_of, run_all
 from hexservo.findings.diagnosis.words import criteria_met, how, misses, warnings_of
 from hexservo.run.result import Result, require_result
-from hexservo.scenario.leg_units import leg_units
 
 __all__ = ["Diagnosis", "Finding", "Remedy", "diagnose"]
 
@@ -126,7 +125,7 @@ def _as_remedy(case: Case, removal: Removal, record: Record, after: Judgement) -
 
 def _finding(case: Case, trial: Trial, signature: Signature, remedy: Remedy | None) -> Finding:
     without = _as_remedy(case, trial.removal, trial.record, trial.judgement)
-    outcome = how(without, leg_units(case.scenario.robot).small)
+    outcome = how(without, case.scenario.robot)
     evidence = [f"With {without.words} the run {outcome}; {trial.cure:.0%} of the failure is gone."]
     if trial.alone:
         evidence.append("Alone, in a scenario without other faults, it also makes the run fail.")

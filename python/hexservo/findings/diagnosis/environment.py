@@ -15,6 +15,7 @@ import numpy as np
 from hexservo import _core
 from hexservo.findings.diagnosis.gains import default_gains
 from hexservo.findings.diagnosis.model import Alone, Case, Cause, Changes, Removal, in_scenario
+from hexservo.findings.diagnosis.size import device_size
 from hexservo.scenario.keys import default_of, keys_below, value_at
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.scenario import Scenario
@@ -43,16 +44,16 @@ ORDINARY: dict[str, float] = {
     "camera.noise": 0.5,  # [px]
     "camera.quantisation": 0.5,  # [px]
     "camera.dropout": 0.1,
-    "sensors.noise": 5e-7,  # [m]
-    "sensors.resolution": 5e-7,  # [m]
+    "sensors.noise": 5e-7,  # [m], of `micro`
+    "sensors.resolution": 5e-7,  # [m], of `micro`
     "actuators.delay": 1e-3,  # [s]
-    "actuators.quantisation": 1e-3,  # [N]
+    "actuators.quantisation": 1e-3,  # [N], of `micro`
     "uncertainty.gravity": 1e-3,
     "uncertainty.inertia": 0.1,
     "uncertainty.coriolis": 0.15,
 }
-"""What ordinary devices have, and a scenario without faults too: no more than that is a cause."""
-ORDINARY_BASE = 0.05  # [m/s^2], amplitude of a sinusoidal motion of the base
+"""What ordinary devices have, and a scenario without faults too: no more than that is a cause (`ordinary_devices`)."""
+_ORDINARY_BASE = 0.05  # [m/s^2], of `micro`: amplitude of a sinusoidal motion of the base
 ORDINARY_DEPTH = 0.3  # mean error of the depths: a loop that bears no 30 % of its gains has another cause
 ORDINARY_WEIGHT = 0.02  # error of the weight, before a law that holds more than 0.001 of it
 # laws without pose or rate loop: they hold a weight by image errors alone
@@ -66,9 +67,26 @@ _KEPT = frozenset(
 )  # how a machine is built, and no fault
 
 
+def ordinary_devices(scenario: Scenario) -> dict[str, float]:
+    """Return what ordinary devices of the machine have at most, by dotted key: `ORDINARY`, for its size.
+
+    Of rotary legs noise and resolution are what moves the cranks' ends as far [rad], and a torque for a force [N m].
+    """
+    size, arm = device_size(scenario), scenario.robot.cranks.length or 1.0
+    scales = dict.fromkeys(("sensors.noise", "sensors.resolution"), size.scale("m").item() / arm)
+    scales["actuators.quantisation"] = size.scale("N").item() * arm
+    return {key: most * scales.get(key, 1.0) for key, most in ORDINARY.items()}
+
+
+def ordinary_base(scenario: Scenario) -> float:
+    """Return the amplitude up to which a sinusoidal motion of the base is ordinary for the machine [m/s^2]."""
+    return _ORDINARY_BASE * device_size(scenario).scale("m/s^2").item()
+
+
 def ideal(scenario: Scenario) -> dict[str, Any]:
-    """Return the changes to devices without faults: a frame at every tick, and the rest no worse than `ORDINARY`."""
+    """Return the changes to devices without faults: a frame at every tick, and the rest no worse than ordinary."""
     changes: dict[str, Any] = {}
+    usual_devices = ordinary_devices(scenario)
     for block in DEVICE_BLOCKS:
         for key in keys_below(block):
             value, wanted = value_at(scenario, key), default_of(key)
@@ -76,8 +94,8 @@ def ideal(scenario: Scenario) -> dict[str, Any]:
                 continue
             if key == "camera.period" and scenario.simulation.mode == "sampled":
                 value, wanted = frame_period(scenario), scenario.simulation.step
-            elif key in ORDINARY:
-                wanted = value if np.abs(value).max() <= ORDINARY[key] else 0.0
+            elif key in usual_devices:
+                wanted = value if np.abs(value).max() <= usual_devices[key] else 0.0
             elif key == "actuators.bandwidth":
                 wanted = value if value is None or value >= ORDINARY_BANDWIDTH else None
             elif key == "actuators.position.bandwidth" and scenario.actuators.takes_positions:
@@ -107,7 +125,7 @@ def default_brake(scenario: Scenario) -> dict[str, None]:
 def ordinary(scenario: Scenario) -> dict[str, Any]:
     """Return the changes to ordinary settings of the same law: its defaults, and a fine step."""
     usual = default_gains(scenario)
-    changes = {key: wanted for key, wanted in usual.items() if _differs(value_at(scenario, key), wanted)}
+    changes = {key: wanted for key, wanted in usual.items() if differs(value_at(scenario, key), wanted)}
     sampled = scenario.simulation.mode == "sampled"
     kind = "implicit" if sampled else "sign"
     switching = scenario.controller.switching
@@ -125,7 +143,7 @@ def ordinary(scenario: Scenario) -> dict[str, Any]:
     return changes
 
 
-def _differs(own: Any, wanted: Any) -> bool:
+def differs(own: Any, wanted: Any) -> bool:
     """Return whether two values differ, numbers by more than rounding."""
     if _numeric(own) and _numeric(wanted):
         return not np.allclose(own, wanted, rtol=_ROUNDING, atol=0.0)
@@ -171,7 +189,7 @@ def alone_at_its_gains(case: Case, name: str, power: float) -> list[Alone]:
     """Return one setting of a law alone, relative to the law's stiffness: with other gains it has another effect.
 
     A loop that is faster as a whole has K_v by the square, and Psi by the inverse square, of what is ordinary for the
-    platform's mass.
+    machine's size.
     """
     scenario = case.scenario
     without = {**ideal(scenario), **ordinary(scenario)}

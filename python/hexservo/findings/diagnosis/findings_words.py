@@ -9,6 +9,7 @@ from hexservo.findings.diagnosis.findings import Diagnosis
 from hexservo.findings.diagnosis.goal import Obstacle
 from hexservo.findings.diagnosis.words import ends, how, joined, remedy_sentence, spelt
 from hexservo.findings.evidence import Column, Curves, Line, Section, Table
+from hexservo.scenario.blocks import Robot
 from hexservo.scenario.leg_units import leg_units
 from hexservo.scenario.wording import number
 
@@ -19,7 +20,8 @@ _WEAK = 0.3  # score up to which recorded signals speak for no cause
 _AT_REST = 1e-3  # of the stroke, that legs move which do not act
 _HELPERS = 3  # most removals that are named which help and are not the cause
 _NOT_NAMED = {  # fails alone -> why a removal that helps is not named as the cause
-    False: "that helps, but alone it makes no scenario without other faults fail, so it is not the cause.",
+    False: "that helps, but it is not the cause: it is ordinary, or alone it makes no scenario without other faults "
+    "fail.",
     True: "alone it makes a scenario without other faults fail too, but it is not named: its settings are ordinary, "
     "small random changes cure the run as well, or the run has not come to rest.",
     None: "that helps, but it could not be tested alone: without any fault, and for a setting of the law with default "
@@ -42,7 +44,7 @@ def section(found: Diagnosis) -> Section:
     if found.named:
         sentences += found.named[0].evidence[1:]
     sentences += _sureness(found)
-    sentences += [remedy_sentence(finding, _unit(found)) for finding in found.causes if finding.remedy is not None]
+    sentences += [remedy_sentence(finding, _robot(found)) for finding in found.causes if finding.remedy is not None]
     return Section(
         "diagnosis", "Diagnosis", [*sentences, *found.warnings], (_table(found), *_curves(found)), "bad", data
     )
@@ -51,8 +53,8 @@ def section(found: Diagnosis) -> Section:
 def _verdict(found: Diagnosis) -> str:
     assert found.judgement is not None
     assert found.record is not None
-    unit = _unit(found)
-    was = ends(found.record.outcome, found.judgement.error * found.band, found.leg_travel, found.record.drift, unit)
+    robot = _robot(found)
+    was = ends(found.record.outcome, found.judgement.error * found.band, found.leg_travel, found.record.drift, robot)
     first = found.causes[0] if found.causes else None
     if found.obstacle is not None:
         return _of_obstacle(found.obstacle)
@@ -61,14 +63,16 @@ def _verdict(found: Diagnosis) -> str:
             return f"The run is too short: with simulation.duration={found.too_short:g} it passes."
         return (
             f"The most likely cause is {first.title}: with {first.without.words} the run "
-            f"{how(first.without, unit)}; the original run {was}."
+            f"{how(first.without, robot)}; the original run {was}."
         )
     if not found.result.by_law:
         if first is None or first.score <= _WEAK:
             travel = float(np.ptp(found.record.samples["leg_lengths"], axis=0).max())
-            still = travel <= _AT_REST * found.result.scenario.robot.stroke
+            still = travel <= _AT_REST * robot.stroke
             more = (
-                f" Its legs move by {number(1e3 * travel)} {unit}: the platform stays where it starts." if still else ""
+                f" Its legs move by {number(1e3 * travel)} {_unit(found)}: the platform stays where it starts."
+                if still
+                else ""
             )
             return (
                 f"Not explained: it {was}, and the recorded signals fit no cause; a custom controller is not run again."
@@ -82,7 +86,7 @@ def _verdict(found: Diagnosis) -> str:
         return _of_two(found, was)
     words = f"Not explained: it {was}, and none of the {len(found.causes)} causes that were tried explains it."
     if first is not None and first.without is not None and first.cure:
-        words += f" The most effective change was {first.without.words}: the run then {how(first.without, unit)}."
+        words += f" The most effective change was {first.without.words}: the run then {how(first.without, robot)}."
     return words
 
 
@@ -101,7 +105,11 @@ def _of_two(found: Diagnosis, was: str) -> str:
 
 def _unit(found: Diagnosis) -> str:
     """Return the unit of leg travel in sentences: mm, or mrad of cranks."""
-    return leg_units(found.result.scenario.robot).small
+    return leg_units(_robot(found)).small
+
+
+def _robot(found: Diagnosis) -> Robot:
+    return found.result.scenario.robot
 
 
 def _of_obstacle(obstacle: Obstacle) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from hexservo import _core
+from hexservo.findings.diagnosis.size import size_of
 from hexservo.scenario.fitted import idle_gains
 from hexservo.scenario.keys import default_of, keys_below, value_at
 from hexservo.scenario.scenario import Scenario
@@ -27,7 +28,6 @@ _POWERS = {
 }
 _FUZZY_POWERS = {"adaptation": -2.0, "initial_scale": 2.0, "weight_limit": 2.0, "leakage": 1.0, "dead_zone": 1.0}
 _STIFFNESS, _DAMPING = ("kp", "kt", "gain", "gain_far", "bandwidth"), ("kd", "ki", "kv")
-_MICRO_MASS = 0.06  # [kg], that the defaults of the gains are for
 GAIN_KEYS = frozenset(f"LAW.{name}" for name in (*_POWERS, "adaptive") if name != "kv") | {
     "LAW.fuzzy.adaptation",
     "LAW.fuzzy.error_scale",
@@ -79,19 +79,19 @@ def _raised(scenario: Scenario, names: tuple[str, ...]) -> dict[str, Any]:
 
 
 def default_gains(scenario: Scenario) -> dict[str, Any]:
-    """Return the settings of a law that suit the platform's mass, by dotted key: its defaults, which are for 60 g.
+    """Return the settings of a law that suit the machine's size, by dotted key: its defaults, which are for `micro`.
 
-    Forces grow with the mass, and what divides by a force falls. Gains that the scenario refuses are left out.
+    Each is scaled by its unit (`MachineSize.scale`). Gains that the scenario refuses are left out.
     """
-    law, ratio = scenario.controller.law, scenario.robot.mass / _MICRO_MASS
+    law, size = scenario.controller.law, size_of(scenario)
     units = {key.name: key.unit for key in _core.scenario_keys(law)}
     found = {}
     for key in _acting(scenario, keys_below(f"controller.{law}")):
-        value, unit = default_of(key), units.get(key, "").partition(";")[0]  # that of forces, before that of moments
-        power = 1.0 if unit.startswith("N") else -1.0 if unit.endswith("/N") else 0.0
-        if power and value is not None and ratio != 1.0:
+        value, scale = default_of(key), size.scale(units.get(key, ""))
+        if np.asarray(value).dtype.kind in "fi" and np.any(value) and (scale != 1.0).any():
             with np.errstate(over="ignore", under="ignore"):  # as below
-                value = (np.asarray(value, dtype=float) * np.power(ratio, power)).tolist()
+                scaled = np.asarray(value, dtype=float) * scale
+            value = scaled.item() if np.ndim(value) == 0 and scaled.size == 1 else scaled.tolist()
         found[key] = list(value) if isinstance(value, tuple) else value
     return found
 

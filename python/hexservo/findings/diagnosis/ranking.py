@@ -12,13 +12,13 @@ from hexservo.findings.diagnosis.causes import CAUSES
 from hexservo.findings.diagnosis.criterion import Allowed, Judgement, Record, judge
 from hexservo.findings.diagnosis.environment import (
     IMAGE_ALONE,
-    ORDINARY_BASE,
     ORDINARY_DEPTH,
     ORDINARY_WEIGHT,
     alone_pairs,
     both_alone,
     ideal,
     known,
+    ordinary_base,
     unusual,
 )
 from hexservo.findings.diagnosis.goal import goal_of, obstacle_of
@@ -241,7 +241,7 @@ def _ordinary_devices(case: Case) -> set[str]:
         found.add("gravity")
     shaken = base.kind == "sinusoid" and base.rotation.kind == "none"
     # what a small acceleration moves a base by may be large, and leaves a target in the world behind
-    if shaken and scenario.target.frame == "base" and np.abs(base.amplitude).max() <= ORDINARY_BASE:
+    if shaken and scenario.target.frame == "base" and np.abs(base.amplitude).max() <= ordinary_base(scenario):
         found.add("base_motion")
     return found
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from hexservo.findings.diagnosis.environment import BASE_MOTIONS, ideal
+from hexservo.findings.diagnosis.environment import BASE_MOTIONS, differs, ideal
+from hexservo.findings.diagnosis.gains import default_gains
 from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal, removal_by
 from hexservo.findings.leg_feedback import OF_MARGIN, feedback_margin, integral_margin
 from hexservo.scenario.keys import keys_below, value_at
@@ -26,7 +27,7 @@ def _of_the_law(changes: Callable[[Case], Mapping[str, Any]], words: str) -> Cal
     def removals(case: Case) -> list[Removal]:
         if case.scenario.controller.law != _LAW:
             return []
-        found = {key: value for key, value in changes(case).items() if value_at(case.scenario, key) != value}
+        found = {key: value for key, value in changes(case).items() if differs(value_at(case.scenario, key), value)}
         return removal_by(words, found)
 
     return removals
@@ -50,8 +51,9 @@ def _led(case: Case) -> Mapping[str, Any]:
 
 
 def _matched(case: Case) -> Mapping[str, Any]:
-    """Return the filter's defaults, with the noise that the features have."""
-    usual = {f"{_BLOCK}.{name}": getattr(Tracking(), name) for name in _FILTER}
+    """Return the filter's defaults for the machine's size, with the noise that the features have."""
+    defaults = default_gains(case.scenario)
+    usual = {key: defaults[key] for key in (f"{_BLOCK}.{name}" for name in _FILTER)}
     return {**usual, f"{_BLOCK}.noise": max(feature_noise(case.scenario.camera), _LEAST_NOISE)}
 
 

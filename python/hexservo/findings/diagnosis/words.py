@@ -10,12 +10,13 @@ from hexservo.findings.diagnosis.criterion import DRIFT_TIME, Judgement, Record
 from hexservo.findings.diagnosis.findings import Finding, Remedy
 from hexservo.run.leg_limits import LimitUse, limits_of_motion
 from hexservo.run.result import Result
+from hexservo.scenario.blocks import Robot
 from hexservo.scenario.leg_units import leg_units
 from hexservo.scenario.wording import apart, number, percent_used
 
 FEW = 40  # samples, or steps
 _NEAR = 0.7  # share of a limit beyond which there is a warning
-_SHOWN_DRIFT = 1e-4  # [m/s]: a slower drift is not reported
+_SHOWN_DRIFT = 0.2  # of the drift that is allowed: a slower one is not reported
 
 
 def joined(parts: Sequence[str]) -> str:
@@ -23,10 +24,10 @@ def joined(parts: Sequence[str]) -> str:
     return "; ".join(parts)
 
 
-def how(run: Remedy, unit: str) -> str:
+def how(run: Remedy, robot: Robot) -> str:
     """Return the outcome of a run as a clause."""
     return f"{'passes' if run.works else 'still fails'}: it " + ends(
-        run.outcome, run.error, run.leg_travel, run.drift, unit
+        run.outcome, run.error, run.leg_travel, run.drift, robot
     )
 
 
@@ -35,12 +36,13 @@ def spelt(outcome: str) -> str:
     return outcome.replace("_", " ")
 
 
-def ends(outcome: str, error: float, leg_travel: float, drift: float, unit: str) -> str:
+def ends(outcome: str, error: float, leg_travel: float, drift: float, robot: Robot) -> str:
     """Return how a run ended."""
     if outcome != "completed":
         return f"ends early ({spelt(outcome)})"
+    unit, shown = leg_units(robot).small, _SHOWN_DRIFT * robot.stroke / DRIFT_TIME
     words = f"ends with {number(error)} px left and {number(leg_travel * 1e3)} {unit} of leg travel"
-    return words + (f", and still drifts at {number(drift * 1e3, 2)} {unit}/s" if drift > _SHOWN_DRIFT else "")
+    return words + (f", and still drifts at {number(drift * 1e3, 2)} {unit}/s" if drift > shown else "")
 
 
 def misses(result: Result, record: Record, judgement: Judgement) -> tuple[str, ...]:
@@ -117,12 +119,12 @@ def warnings_of(result: Result, judgement: Judgement) -> tuple[str, ...]:
     return tuple(found)
 
 
-def remedy_sentence(finding: Finding, unit: str) -> str:
+def remedy_sentence(finding: Finding, robot: Robot) -> str:
     """Return the remedy against a cause, and the outcome of the run with it."""
     remedy = finding.remedy
     assert remedy is not None
     keys = ", ".join(f"{key}={_value(value)}" for key, value in remedy.changes.items())
-    outcome = how(remedy, unit)
+    outcome = how(remedy, robot)
     if finding.without is not None and remedy.changes == finding.without.changes:
         return f"Against {finding.title}: {remedy.words} ({keys}); that run {outcome}."
     return f"Against {finding.title}: {remedy.words} ({keys}). Tried: the run {outcome}."
