@@ -161,7 +161,6 @@ void answer(const LoopRecord<S, N>& record, const LawState& law_state, const S& 
 
 /// Whether the caller requests the end of the run; it may run any code, in its own thread's mode.
 inline bool is_stopped(const RunRequest& request, long long steps) {
-  if (request.stop == nullptr || steps % request.ask_every != 0) return false;
   const KeepSubnormals keep;
   return request.stop(request.context, steps);
 }
@@ -185,12 +184,14 @@ RunStatus run(const RunRequest& request) {
   S steps(0.0);  // that each lane has taken
   bool stopped = false;
   long long until_logged = request.log_every;
+  long long until_asked = request.stop == nullptr ? 0 : 1;  // whether to stop
   while (loop.steps() < request.steps) {
     const Mask<S> running = record.running();
     if (!any(running)) break;
-    if (is_stopped(request, loop.steps())) {
-      stopped = true;
-      break;
+    if (--until_asked == 0) {
+      until_asked = request.ask_every;
+      stopped = is_stopped(request, loop.steps());
+      if (stopped) break;
     }
     loop.advance();
     steps = select(running, S(static_cast<double>(loop.steps())), steps);

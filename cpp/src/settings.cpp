@@ -52,7 +52,9 @@ void require_full_rank(const std::string& key, double f, const Image<double, N>&
     refuse(key, "features and depths with a finite image Jacobian", "one that overflows");
   const Vector6<double> sigma = detail::singular_values(J);
   if (!(sigma(5) > kRankDeficient * sigma(0)))
-    refuse(key, "features that determine the pose (not all on one line)",
+    refuse(key,
+           "features that determine the pose (not all on one line, nor three whose circle has the camera on the "
+           "cylinder over it)",
            words("an image Jacobian with smallest/largest singular value ", sigma(5) / sigma(0)));
 }
 
