@@ -245,7 +245,7 @@ def seen_log(
 
 @cache
 def drives_of_seen_log() -> Drives:
-    """Drives of `seen_log` in motion, whose commands and joints are the same whatever its camera sees."""
+    """Drives of `seen_log` in motion, whose commands and joints do not depend on its camera."""
     return fit_drives(seen_log(hs.load_scenario("paper"), 0.05, stamps=None), METRES, delays=(1,))
 
 
