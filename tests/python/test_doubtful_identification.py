@@ -20,7 +20,8 @@ from hexservo.findings.identification.frames import fit_camera
 from hexservo.findings.identification.interval import Interval
 from hexservo.findings.identification.log import Log
 from recorded_machines import Drive, record, wandering
-from test_identification import METRES, SEED, drives_of_seen_log, seen_log
+from test_identification import METRES, SEED, seen_log
+from test_identified_camera import drives_of_seen_log
 
 
 @pytest.mark.slow

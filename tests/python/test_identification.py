@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from hexservo.cli.commands import app
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.evidence import Table
 from hexservo.findings.identification.changes import in_whole_ticks, ticks_of
-from hexservo.findings.identification.drives import DriveFit, Drives, fit_drives
+from hexservo.findings.identification.drives import DriveFit, fit_drives
 from hexservo.findings.identification.frames import MOST_LATENCY, fit_camera
 from hexservo.findings.identification.interval import Interval, correlated, deviations
 from hexservo.findings.identification.log import Log
@@ -241,12 +241,6 @@ def seen_log(
     arrival = np.maximum.accumulate(exposure + latency + jitter * random.random(len(exposure)))
     frames = see(scenario, CubicSpline(log.time, true)(exposure), exposure, arrival, noise, random)
     return replace(log, frames=replace(frames, exposure=None if stamps is None else exposure + stamps))
-
-
-@cache
-def drives_of_seen_log() -> Drives:
-    """Drives of `seen_log` in motion, whose commands and joints do not depend on its camera."""
-    return fit_drives(seen_log(hs.load_scenario("paper"), 0.05, stamps=None), METRES, delays=(1,))
 
 
 @pytest.mark.parametrize("latency", [0.0, 0.04, 0.123, 0.24])

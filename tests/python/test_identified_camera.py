@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -14,17 +15,24 @@ import hexservo as hs
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.evidence import Table
 from hexservo.findings.identification.changes import changes_of, faults_of, of_law
+from hexservo.findings.identification.drives import Drives, fit_drives
 from hexservo.findings.identification.frame_clock import clock
 from hexservo.findings.identification.frames import CameraFit, _repeats, fit_camera
 from hexservo.findings.identification.frames_noise import joint_deviations, overstated, scatter_of, spline_shares
 from hexservo.findings.identification.interval import Interval, deviations, robust_deviations
 from hexservo.findings.identification.log import Frames, Log
 from recorded_machines import Drive, record, see
-from test_identification import SEED, commands_of, drives_of_seen_log, seen_log, within
+from test_identification import METRES, SEED, commands_of, seen_log, within
 
 Array = NDArray[np.float64]
 
 PERIOD = 0.033
+
+
+@cache
+def drives_of_seen_log() -> Drives:
+    """Drives of `seen_log` in motion, whose commands and joints do not depend on its camera."""
+    return fit_drives(seen_log(hs.load_scenario("paper"), 0.05, stamps=None), METRES, delays=(1,))
 
 
 def arrivals(random: np.random.Generator, *, jitter: float, lost: float, seconds: float = 10.0) -> Array:
