@@ -89,7 +89,7 @@ def test_known_numbers_of_the_paper(paper: hs.Scenario) -> None:
     assert "barely distinguishable from a rotation about (-0.72, 0.69, 0.00)" in words
 
 
-@pytest.mark.parametrize("name", ["paper", "task-general"])
+@pytest.mark.parametrize("name", ["paper", pytest.param("task-general", marks=pytest.mark.slow)])
 def test_pose_sigma_is_the_spread_of_poses_estimated_from_noisy_images(name: str) -> None:
     """Gauss-Newton on the core's projection, 3000 noisy images: noise so small that the estimate is linear."""
     scene = scene_of(hs.load_scenario(name))

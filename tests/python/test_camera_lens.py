@@ -244,7 +244,9 @@ def test_wrong_intrinsics_need_pixels(paper: hs.Scenario) -> None:
         paper.updated({"uncertainty.focal_length": 0.01})
 
 
-@pytest.mark.parametrize("lens", LENSES)
+@pytest.mark.parametrize(
+    "lens", [pytest.param(lens, marks=[pytest.mark.slow] if number else []) for number, lens in enumerate(LENSES)]
+)
 def test_analyses_are_those_of_the_pinhole(plain_camera: hs.Scenario, lens: str) -> None:
     """Even where the noise is of the pixels: the pose of the goal is that of the features."""
     scenario = in_pixels(plain_camera, lens)

@@ -176,6 +176,7 @@ def test_the_example_of_the_page_runs(tmp_path: Path) -> None:
     assert re.match(r"-\d", worst)
 
 
+@pytest.mark.slow
 def test_the_example_of_estimates_runs(tmp_path: Path) -> None:
     _, example = examples(PAGE)
     estimate, most = output_of(example, tmp_path).splitlines()

@@ -263,7 +263,7 @@ KILLER = """
 """
 
 
-@pytest.mark.parametrize("kills", [20, pytest.param(100, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kills", [12, pytest.param(100, marks=pytest.mark.slow)])
 def test_the_table_is_the_same_after_kills_at_random_moments(whole: Path, tmp_path: Path, kills: int) -> None:
     seed = 20261122
     file = tmp_path / "campaign.yaml"

@@ -36,7 +36,9 @@ def shell(probability: float, dimension: int) -> Margin:
     return lambda places, seeds: np.asarray(1 - (places**2).sum(axis=1) / square)
 
 
-@pytest.mark.parametrize(("shape", "dimension"), [("plane", 2), ("plane", 10), ("shell", 10)])
+@pytest.mark.parametrize(
+    ("shape", "dimension"), [("plane", 2), pytest.param("plane", 10, marks=pytest.mark.slow), ("shell", 10)]
+)
 def test_subset_simulation_of_a_planted_probability(shape: str, dimension: int) -> None:
     planted = 1e-8
     margin = half_space(planted) if shape == "plane" else shell(planted, dimension)

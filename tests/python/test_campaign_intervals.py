@@ -132,7 +132,9 @@ def test_runs_for_a_bound_are_the_least_ones(failures: int, mixture: Mixture) ->
     assert anytime_interval(failures, runs - 1, 0.95, mixture)[1] > 1e-3
 
 
-@pytest.mark.parametrize(("p", "mixture"), [(0.05, JEFFREYS), (0.005, JEFFREYS), (0.001, RARE)])
+@pytest.mark.parametrize(
+    ("p", "mixture"), [pytest.param(0.05, JEFFREYS, marks=pytest.mark.slow), (0.005, JEFFREYS), (0.001, RARE)]
+)
 def test_coverage_where_an_adversary_stops_at_the_best_moment(p: float, mixture: Mixture) -> None:
     """The adversary may stop after any of 10 000 runs, and picks one where the interval misses the probability if there
     is any. One who stops where the upper end is lowest, and one who stops where the lower end is highest, miss at most

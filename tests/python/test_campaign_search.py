@@ -102,9 +102,9 @@ def test_more_rounds_continue_a_search(tmp_path: Path) -> None:
     first = hs.tune(file, tmp_path / "out", **(OPTIONS | {"rounds": 1}))
     assert not first.settled
     kept = {path.name: path.read_bytes() for path in (tmp_path / "out" / "steps").iterdir()}
-    more = hs.tune(file, tmp_path / "out", **(OPTIONS | {"rounds": 3}), warn=said.append)
+    more = hs.tune(file, tmp_path / "out", **(OPTIONS | {"rounds": 2}), warn=said.append)
     assert said == []
-    whole = hs.tune(file, tmp_path / "whole", **(OPTIONS | {"rounds": 3}))
+    whole = hs.tune(file, tmp_path / "whole", **(OPTIONS | {"rounds": 2}))
     assert more.joined >= 1
     assert results_of(tmp_path / "out") == results_of(tmp_path / "whole")
     assert (more.gains, more.runs) == (whole.gains, whole.runs)
@@ -211,12 +211,13 @@ def test_a_candidate_that_was_known_is_not_lost() -> None:
     assert best_candidate(planted, known, 1, nothing) == pytest.approx(known[0], abs=0)
 
 
-def test_the_smallest_relaxation_is_found() -> None:
+@pytest.mark.parametrize("seeds", [5, pytest.param(20, marks=pytest.mark.slow)])
+def test_the_smallest_relaxation_is_found(seeds: int) -> None:
     """x0 >= 0.8 and x0 <= 0.5 - x1 exclude each other: either holds if the other gives way by 0.3.
 
     What is found is never less, and in the corner between two bounds a search may stop short: by 0.05 at most here.
     """
-    for seed in range(20):
+    for seed in range(seeds):
         planted: Any = Planted(
             [lambda p: p[:, 0] - 0.8, lambda p: 0.5 - p[:, 1] - p[:, 0]], [lambda p: p[:, 0]], 2, seed
         )
@@ -226,31 +227,31 @@ def test_the_smallest_relaxation_is_found() -> None:
         assert (planted.nearest <= -0.3 + 1e-12).all()
 
 
-def test_a_planted_front_is_found() -> None:
+@pytest.mark.parametrize("seed", [0, *(pytest.param(each, marks=pytest.mark.slow) for each in (1, 2))])
+def test_a_planted_front_is_found(seed: int) -> None:
     """ZDT1 (Zitzler, Deb and Thiele 2000) in 4 numbers, whose front is f2 = 1 - sqrt(f1) at x1 = x2 = x3 = 0; of it
     f1 >= 0.04 is feasible."""
 
     def rest(p: Array) -> Array:
         return np.asarray(1 + 9 * p[:, 1:].mean(axis=1))
 
-    for seed in range(3):
-        planted: Any = Planted(
-            [lambda p: p[:, 0] - 0.04],
-            [lambda p: p[:, 0], lambda p: rest(p) * (1 - np.sqrt(p[:, 0] / rest(p)))],
-            4,
-            seed,
-        )
-        front = front_of(planted, np.array([[0.5, 0.5, 0.5, 0.5]]), 120, nothing)
-        values = planted.judged(front).values
-        away = values[:, 1] - (1 - np.sqrt(values[:, 0]))
-        print(f"seed {seed}: {len(front)} points, at most {away.max():.3g} above the front")
-        assert len(front) >= 30
-        assert (away >= -1e-12).all()
-        assert away.max() < 0.05
-        assert values[0, 0] == pytest.approx(0.04, abs=0.02)
-        assert values[-1, 0] > 0.9
-        assert (np.diff(values[:, 0]) > 0).all()
-        assert (np.diff(values[:, 1]) < 0).all()
+    planted: Any = Planted(
+        [lambda p: p[:, 0] - 0.04],
+        [lambda p: p[:, 0], lambda p: rest(p) * (1 - np.sqrt(p[:, 0] / rest(p)))],
+        4,
+        seed,
+    )
+    front = front_of(planted, np.array([[0.5, 0.5, 0.5, 0.5]]), 120, nothing)
+    values = planted.judged(front).values
+    away = values[:, 1] - (1 - np.sqrt(values[:, 0]))
+    print(f"seed {seed}: {len(front)} points, at most {away.max():.3g} above the front")
+    assert len(front) >= 30
+    assert (away >= -1e-12).all()
+    assert away.max() < 0.05
+    assert values[0, 0] == pytest.approx(0.04, abs=0.02)
+    assert values[-1, 0] > 0.9
+    assert (np.diff(values[:, 0]) > 0).all()
+    assert (np.diff(values[:, 1]) < 0).all()
 
 
 def test_what_is_not_dominated() -> None:
@@ -310,18 +311,18 @@ def test_two_metrics_need_pymoo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 # ---- Numbers of the loop --------------------------------------------------------------------------------------------
 
 
-def test_the_delay_margin_is_that_of_the_analysis() -> None:
+@pytest.mark.parametrize("factor", [pytest.param(0.3, marks=pytest.mark.slow), 1.0, 30.0])
+def test_the_delay_margin_is_that_of_the_analysis(factor: float) -> None:
     scenario = hs.load_scenario("noisy-camera").updated({"camera.prediction": "none", "camera.noise": 0.0})
-    for factor in (0.3, 1.0, 30.0):
-        kt = [factor * value for value in scenario.controller.composite.kt]  # type: ignore[union-attr]
-        changed = scenario.updated({"controller.law": "composite", "controller.composite.kt": kt})
-        part = camera_rate.analyse(changed)
-        assert part.acting is not None
-        assert part.clock is not None
-        stable = part.acting.latency.stable
-        expected = math.nan if stable is None else (stable - part.clock.latency) * changed.simulation.step
-        print(f"{factor}: {expected} s")
-        assert delay_margin(changed) == pytest.approx(expected, nan_ok=True, abs=1e-12)
+    kt = [factor * value for value in scenario.controller.composite.kt]  # type: ignore[union-attr]
+    changed = scenario.updated({"controller.law": "composite", "controller.composite.kt": kt})
+    part = camera_rate.analyse(changed)
+    assert part.acting is not None
+    assert part.clock is not None
+    stable = part.acting.latency.stable
+    expected = math.nan if stable is None else (stable - part.clock.latency) * changed.simulation.step
+    print(f"{factor}: {expected} s")
+    assert delay_margin(changed) == pytest.approx(expected, nan_ok=True, abs=1e-12)
     assert math.isnan(delay_margin(scenario.updated({"controller.law": "hybrid"})))
 
 
@@ -379,10 +380,10 @@ def test_a_required_delay_margin_holds(tmp_path: Path) -> None:
         "require": ["peak_leg_force <= 0.9"],
         "tune": tune,
     }
-    free = hs.tune(file, tmp_path / "free", generations=8, rounds=1, seed=1)
+    free = hs.tune(file, tmp_path / "free", generations=4, rounds=1, seed=1)
     before = delay_margin(free.scenario)
     required = f"delay_margin >= {before + 0.02:.3f}"
-    bound = hs.tune(file | {"tune": tune | {"subject_to": [required]}}, tmp_path / "b", generations=8, rounds=1, seed=1)
+    bound = hs.tune(file | {"tune": tune | {"subject_to": [required]}}, tmp_path / "b", generations=4, rounds=1, seed=1)
     print(f"{before} s, then {bound.loop}")
     assert bound.feasible
     assert bound.loop[required] == delay_margin(bound.scenario) >= before + 0.019

@@ -447,7 +447,7 @@ def test_a_campaign_ignores_the_block() -> None:
     assert again.tune == plan.tune
 
 
-def test_the_page_and_the_command(tmp_path: Path) -> None:
+def test_the_file_of_the_page_and_the_command(tmp_path: Path) -> None:
     text = PAGE.read_text(encoding="utf-8")
     yaml, *_ = re.findall(r"```yaml\n(.*?)```", text, re.DOTALL)
     (tmp_path / "mine.yaml").write_text(yaml.replace("runs: 1000", "runs: 20"), encoding="utf-8")
@@ -467,6 +467,10 @@ def test_the_page_and_the_command(tmp_path: Path) -> None:
     code, out, err = invoke("tune", "campaign-paper", "--out", str(tmp_path / "other"))
     assert (code, out) == (2, "")
     assert err == "Error: campaign-paper: source: expected a campaign file with the block tune, got one without\n"
+
+
+@pytest.mark.slow
+def test_the_example_of_the_page(tmp_path: Path) -> None:
     (example,) = examples(PAGE)
     better, interval = output_of(example, tmp_path).splitlines()
     assert better == "True True"

@@ -14,9 +14,9 @@ import pytest
 from numpy.typing import NDArray
 
 import hexservo as hs
-from hexservo.findings.certificate.lyapunov import Lyapunov, differentiate
+from hexservo.findings.certificate.lyapunov import Lyapunov, differentiate, lyapunov_of
 from hexservo.findings.certificate.replay import Plant, replay
-from hexservo.findings.certificate.uncertainty import Assumption, DeltaTau, uncertainty_of
+from hexservo.findings.certificate.uncertainty import Assumption, DeltaTau, assumption_of, uncertainty_of
 from hexservo.findings.evidence import Curves, Table
 
 Array = NDArray[np.float64]
@@ -40,10 +40,11 @@ NOMINAL: dict[str, Any] = {
 
 
 def parts_of(scenario: hs.Scenario) -> tuple[Lyapunov, Assumption]:
-    certificate = hs.certify(hs.simulate(scenario))
-    assert certificate.lyapunov is not None, certificate.open_questions
-    assert certificate.assumption is not None
-    return certificate.lyapunov, certificate.assumption
+    """Both as `certify` has them, without the rest of a certificate."""
+    run = replay(hs.simulate(scenario))
+    found = uncertainty_of(run, Plant.of(run))
+    assumption = assumption_of(run, found)
+    return lyapunov_of(run, found, assumption), assumption
 
 
 def uncertainty(scenario: hs.Scenario) -> tuple[hs.Result, DeltaTau]:

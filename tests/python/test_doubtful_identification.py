@@ -21,6 +21,7 @@ from hexservo.findings.identification.interval import Interval
 from hexservo.findings.identification.log import Log
 from recorded_machines import Drive, record, wandering
 from test_identification import METRES, SEED, seen_log
+from test_identified_camera import drives_of_seen_log
 
 
 @pytest.mark.slow
@@ -246,7 +247,7 @@ def test_a_latency_beyond_what_is_searched_has_no_upper_end(paper: hs.Scenario, 
     assert section.verdict == "warning"
     assert "at least" in section.sentences[0]
     assert "does not tell" not in section.sentences[0]
-    changes = changes_of(log, paper, fit_drives(log, METRES, delays=(1,)), camera)
+    changes = changes_of(log, paper, drives_of_seen_log(), camera)
     assert "camera.period" in changes
     assert not {"camera.latency", "camera.latency_jitter", "camera.noise"} & set(changes)
 
@@ -271,5 +272,5 @@ def test_images_that_the_joints_do_not_predict_give_no_camera(paper: hs.Scenario
     assert section.verdict == "bad"
     assert "another order of the points" in section.sentences[0]
     assert "y up in place of down" in section.sentences[0]
-    changes = changes_of(log, paper, fit_drives(log, METRES, delays=(1,)), camera)
+    changes = changes_of(log, paper, drives_of_seen_log(), camera)
     assert not any(key.startswith("camera") for key in changes)

@@ -297,23 +297,26 @@ EXPECTED = {
     "pbvs": (0.75, 1.0),
     "computed_torque": (0.77, 1.0),
 }
-# Share of machines that it may warn of, with 60 of them; those laws pull with J^T K_p J.
+# Share of machines that it may warn of; those laws pull with J^T K_p J.
 MOST_WARNED = {"pointing": 0.05, "pose": 0.15}
 
 
-def laws_and_starts() -> list[Any]:
-    """Every law from `pointing`, and from `pose` one that is warned of nearly always and one that is not."""
-    return [
-        pytest.param(law, start, marks=() if start == "pointing" or law in ("kelly", "composite") else pytest.mark.slow)
-        for law in LAWS
-        for start in STARTS
-    ]
+def laws_starts_and_counts() -> list[Any]:
+    """Every law from `pointing`, and from `pose` one that is warned of nearly always and one that is not.
+
+    Of 20 machines, and behind `slow` of 60, as of `hybrid`: of its machines most are warned of.
+    """
+    every = [(law, start) for law in LAWS for start in STARTS]
+    kept = [case for case in every if case[1] == "pointing" or case[0] in ("kelly", "composite")]
+    usual = [(*case, 60 if case[0] == "hybrid" else 20) for case in kept]
+    more = [(*case, 60) for case in every if (*case, 60) not in usual]
+    return [*usual, *(pytest.param(*case, marks=pytest.mark.slow) for case in more)]
 
 
-@pytest.mark.parametrize(("law", "start"), laws_and_starts())
-def test_random_machines_settle_alike_or_are_warned_of(law: str, start: str) -> None:
+@pytest.mark.parametrize(("law", "start", "count"), laws_starts_and_counts())
+def test_random_machines_settle_alike_or_are_warned_of(law: str, start: str, count: int) -> None:
     print(f"seed {SEED}")
-    machines = draw(60, start)
+    machines = draw(count, start)
     warnings = warned(law, machines)
     if law not in ("hybrid", "kelly"):
         assert warnings.mean() <= MOST_WARNED[start]
@@ -321,7 +324,7 @@ def test_random_machines_settle_alike_or_are_warned_of(law: str, start: str) -> 
     for mode in MODES:
         found = row(law, start, mode, machines, warnings)
         if start == "pointing" or law not in ("hybrid", "kelly"):
-            assert (~warnings).sum() >= 15
+            assert (~warnings).mean() >= 0.25
             assert found.alike(~warnings) >= least
             assert found.median == pytest.approx(median, rel=0.25 if law == "hybrid" else 0.05)
         else:  # all but a few are warned of, and most of those do not settle
@@ -507,7 +510,7 @@ def test_gains_that_are_written_do_not_follow_the_goal(paper: hs.Scenario) -> No
     ("law", "bandwidth", "changes", "part"),
     [
         ("composite", 4.0, {"controller.composite.fuzzy.enabled": False}, "stiction"),
-        ("composite", 4.0, {}, "camera_rate"),
+        pytest.param("composite", 4.0, {}, "camera_rate", marks=pytest.mark.slow),
         ("kelly", 0.7, {"simulation.duration": 1.0}, "largest_start"),
     ],
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +45,11 @@ def commands_of(scenario: hs.Scenario, random: np.random.Generator, ticks: int, 
 
 def within(found: Interval | None, value: float) -> bool:
     return found is not None and found.low <= value <= found.high
+
+
+def try_delays(monkeypatch: pytest.MonkeyPatch, *delays: int) -> None:
+    """Have `identify` try these delays of the drives alone, of 0 to 8 ticks: in a part of the time."""
+    monkeypatch.setattr("hexservo.findings.identification.fit_drives", partial(fit_drives, delays=delays))
 
 
 # ---- Drives ---------------------------------------------------------------------------------------------------------
@@ -132,7 +138,7 @@ def test_both_limits_are_found_where_they_act() -> None:
     random = np.random.default_rng(SEED)
     drives = [Drive(5.0, 0.9, 1, speed=0.03, acceleration=0.6)] * 6
     log = record(0.2 + wandering(random, 500, 0.01, 0.004, 0.4), 0.01, drives, 2e-6, random)
-    for fit in fit_drives(log, METRES).fits:
+    for fit in fit_drives(log, METRES, delays=(1,)).fits:
         assert fit.speed_limit is not None
         assert fit.speed_limit.value == pytest.approx(0.03, rel=2e-3)
         assert fit.acceleration_limit is not None
@@ -145,7 +151,7 @@ def test_a_leg_that_rests_is_not_identified() -> None:
     random = np.random.default_rng(SEED)
     commands = 0.2 + wandering(random, 400, 0.01, 0.004, 0.4)
     commands[:, 2] = 0.2
-    found = fit_drives(record(commands, 0.01, [Drive(5.0, 0.9)] * 6, 1e-5, random), METRES)
+    found = fit_drives(record(commands, 0.01, [Drive(5.0, 0.9)] * 6, 1e-5, random), METRES, delays=(0,))
     assert found.fits[2].bandwidth is None
     assert [fit.leg for fit in found.moved] == [1, 2, 4, 5, 6]
     section = found.section()
@@ -160,7 +166,7 @@ def test_a_leg_that_does_not_follow_is_not_identified() -> None:
     log = record(commands, 0.01, [Drive(5.0, 0.9)] * 6, 1e-6, random)
     joints = log.joints.copy()
     joints[:, 4] = 0.0
-    found = fit_drives(replace(log, joints=joints), METRES)
+    found = fit_drives(replace(log, joints=joints), METRES, delays=(0,))
     assert found.fits[4].bandwidth is None
     assert found.section().verdict == "warning"
     assert within(found.fits[0].bandwidth, 5.0)
@@ -348,8 +354,11 @@ def test_a_camera_on_the_base_is_an_open_question(paper: hs.Scenario) -> None:
 # ---- From a log to a scenario ----------------------------------------------------------------------------------------
 
 
-def test_the_identified_scenario_moves_as_the_core_s_own_run(paper: hs.Scenario) -> None:
+def test_the_identified_scenario_moves_as_the_core_s_own_run(
+    paper: hs.Scenario, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A run of the core with positions, logged, gives back its own keys."""
+    try_delays(monkeypatch, 1, 2, 3)
     scenario = paper.updated(
         {
             "simulation.mode": "sampled",
@@ -373,8 +382,11 @@ def test_the_identified_scenario_moves_as_the_core_s_own_run(paper: hs.Scenario)
     assert found.scenario.actuators.position.damping == pytest.approx(0.7, rel=1e-4)
 
 
-def test_a_log_without_images_keeps_the_camera_in_whole_ticks(paper: hs.Scenario) -> None:
+def test_a_log_without_images_keeps_the_camera_in_whole_ticks(
+    paper: hs.Scenario, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Its ticks are longer than those of the scenario; so are delays and the end of the run in whole ones."""
+    try_delays(monkeypatch, 0)
     times = {"camera.period": 0.033, "camera.latency": 0.042, "actuators.delay": 0.004, "simulation.duration": 3.01}
     machine = paper.updated({"simulation.mode": "sampled", "simulation.step": 0.001, **times})
     random = np.random.default_rng(SEED)
@@ -455,6 +467,7 @@ def written(log: Log, path: Path) -> Path:
 def test_the_command_writes_a_scenario_that_runs_and_diagnose_goes_on(
     paper: hs.Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    try_delays(monkeypatch, 0, 1, 2)
     log = written(seen_log(paper, 0.1, stamps=None), tmp_path / "log.csv")
     found, identify = [], hs.identify
 

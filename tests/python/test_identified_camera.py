@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ import hexservo as hs
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.evidence import Table
 from hexservo.findings.identification.changes import changes_of, faults_of, of_law
-from hexservo.findings.identification.drives import fit_drives
+from hexservo.findings.identification.drives import Drives, fit_drives
 from hexservo.findings.identification.frame_clock import clock
 from hexservo.findings.identification.frames import CameraFit, _of_one_speed, _repeats, fit_camera
 from hexservo.findings.identification.frames_noise import (
@@ -33,6 +34,12 @@ from test_identification import METRES, SEED, commands_of, seen_log, within
 Array = NDArray[np.float64]
 
 PERIOD = 0.033
+
+
+@cache
+def drives_of_seen_log() -> Drives:
+    """Drives of `seen_log` in motion, whose commands and joints do not depend on its camera."""
+    return fit_drives(seen_log(hs.load_scenario("paper"), 0.05, stamps=None), METRES, delays=(1,))
 
 
 def arrivals(random: np.random.Generator, *, jitter: float, lost: float, seconds: float = 10.0) -> Array:
@@ -80,9 +87,7 @@ def test_a_camera_without_a_period_keeps_its_keys(paper: hs.Scenario) -> None:
     section = found.section()
     assert section.verdict == "warning"
     assert any("do not tell their period" in sentence for sentence in section.sentences)
-    assert not {"camera.period", "camera.dropout"} & set(
-        changes_of(log, paper, fit_drives(log, METRES, delays=(1,)), found)
-    )
+    assert not {"camera.period", "camera.dropout"} & set(changes_of(log, paper, drives_of_seen_log(), found))
 
 
 def test_the_noise_is_what_the_law_tracking_assumes(paper: hs.Scenario) -> None:
@@ -118,7 +123,7 @@ def test_jitter_is_found_from_motion_and_is_no_noise(paper: hs.Scenario) -> None
     assert camera.jitter == pytest.approx(0.01, rel=0.4)
     assert camera.noise is not None
     assert camera.noise.value == pytest.approx(0.2, rel=4 / np.sqrt(2 * 0.7 * 135 * 7))
-    changes = changes_of(log, paper, fit_drives(log, METRES, delays=(1,)), camera)
+    changes = changes_of(log, paper, drives_of_seen_log(), camera)
     assert changes["camera.latency_jitter"] == 0.01
     assert changes["camera.latency"] == 0.05
     section = camera.section()
@@ -145,7 +150,7 @@ def test_the_noise_of_joints_is_found_from_their_readings() -> None:
 def test_motion_that_is_fast_for_the_ticks_is_no_noise_of_joints(paper: hs.Scenario) -> None:
     """Of drives of 10 Hz at 30 ticks a second: their fit leaves 1e-9 m, and the differences of the readings 1e-4 m."""
     log = seen_log(paper, 0.05, stamps=None)
-    drives = fit_drives(log, METRES, delays=(1,))
+    drives = drives_of_seen_log()
     coarse = replace(drives, fits=tuple(replace(fit, noise=1e-9) for fit in drives.fits))
     noisy = replace(drives, fits=tuple(replace(fit, noise=1e-4) for fit in drives.fits))
     joints = replace(log, joints=log.joints + 1e-4 * np.random.default_rng(SEED).normal(size=log.joints.shape))
@@ -298,7 +303,7 @@ def test_an_image_moves_a_shift_as_least_squares_does() -> None:
 def test_what_is_no_noise_of_the_camera_is_no_key(paper: hs.Scenario) -> None:
     """Nor is it jitter; the latency is that found less half of the jitter that was given."""
     log = seen_log(paper, 0.05, stamps=None)
-    drives = fit_drives(log, METRES, delays=(1,))
+    drives = drives_of_seen_log()
     known = CameraFit(
         300, latency=Interval(0.07, 0.069, 0.071), jitter=0.04, noise=Interval(0.5, 0.4, 0.6), explained=1.0
     )
@@ -336,9 +341,7 @@ def test_exposure_times_that_are_wrong_are_a_fault_and_no_key(paper: hs.Scenario
     camera = fit_camera(log, Scene(paper))
     scenario = paper.updated({"simulation.mode": "sampled", "simulation.step": 0.01, "camera.latency": 0.05})
     assert faults_of(scenario, camera) == {"uncertainty.latency": -0.01}
-    assert not any(
-        key.startswith("uncertainty") for key in changes_of(log, paper, fit_drives(log, METRES, delays=(1,)), camera)
-    )
+    assert not any(key.startswith("uncertainty") for key in changes_of(log, paper, drives_of_seen_log(), camera))
     section = camera.section()
     assert section.verdict == "warning"
     assert any("before what they state" in words for words in section.sentences)
@@ -369,7 +372,7 @@ def test_a_target_of_another_size_gives_no_noise_and_no_good_camera(paper: hs.Sc
     assert section.verdict == "warning"
     assert any("focal length" in words and "target.points" in words for words in section.sentences)
     assert any("it is more than noise" in words for words in section.sentences)
-    assert "camera.noise" not in changes_of(log, paper, fit_drives(log, METRES, delays=(1,)), camera)
+    assert "camera.noise" not in changes_of(log, paper, drives_of_seen_log(), camera)
     right = fit_camera(seen_log(paper, 0.06, stamps=None), Scene(paper))
     assert right.noise_is_white
     assert not right.target_is_apparent

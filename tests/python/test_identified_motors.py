@@ -20,7 +20,7 @@ from hexservo.findings.identification.motors import _finished, _fitted, _Plant, 
 from hexservo.scenario.drives import Motors
 from hexservo.scenario.leg_units import leg_units
 from hexservo.scenario.parameters import core_parameters
-from test_identification import commands_of, within
+from test_identification import commands_of, try_delays, within
 from test_motors import in_mujoco, on_motors, rotary
 
 TICK, DELAY, SEED = 0.01, 2, 31
@@ -181,13 +181,14 @@ def test_a_response_is_that_of_a_run(paper: hs.Scenario) -> None:
     assert held[-1].max() < 1e-2 * np.ptp(run.leg_lengths, axis=0).max()
 
 
-def test_the_command_writes_motors(paper: hs.Scenario, tmp_path: Path) -> None:
+def test_the_command_writes_motors(paper: hs.Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    try_delays(monkeypatch, DELAY)
     machine = machine_of(paper, "prismatic")
     settings = core_parameters(machine)
     hexapod = _core.Hexapod(settings.robot)
-    commands = commands_of(machine, np.random.default_rng(SEED), 300, TICK, 0.004)
+    commands = commands_of(machine, np.random.default_rng(SEED), 150, TICK, 0.004)
     joints = _core.motor_response(settings, commands, hexapod.home_position, hexapod.home_quaternion)
-    table = np.column_stack([TICK * np.arange(300.0), commands, joints])
+    table = np.column_stack([TICK * np.arange(150.0), commands, joints])
     names = ["time", *(f"{kind}_{leg}" for kind in ("command", "joint") for leg in range(1, 7))]
     log, own, out = tmp_path / "log.csv", tmp_path / "machine.yaml", tmp_path / "out.yaml"
     np.savetxt(log, table, delimiter=",", header=",".join(names), comments="")

@@ -143,7 +143,7 @@ TURNING = {"metrics.band": 20.0, "actuators.delay": 3 * TICK, "simulation.durati
 CAUSE = {cause.key: cause for cause in CAUSES}
 
 
-@pytest.mark.parametrize("share", [1.2, 1.5, 2.0])
+@pytest.mark.parametrize("share", [1.2, *(pytest.param(each, marks=pytest.mark.slow) for each in (1.5, 2.0))])
 def test_a_feedback_or_integral_beyond_its_margin_is_diagnosed(share: float) -> None:
     scenario = head(25.0, gains={"bandwidth": 3.0}).updated(TURNING)
     fault = {FEEDBACK: share * hs.feedback_margin(scenario)}

@@ -15,6 +15,7 @@ import hexservo as hs
 from hexservo.findings.identification import mcap_log
 from hexservo.findings.identification.log import Log
 from recorded_machines import Drive, record, wandering
+from test_identification import try_delays
 
 writing = pytest.importorskip("mcap.writer", reason="the extra mcap is not installed", exc_type=ImportError)
 SEED = 20270115
@@ -151,7 +152,8 @@ def test_times_of_the_messages_replace_those_of_the_log(tmp_path: Path) -> None:
         hs.read_log(written(tmp_path / "mixed.mcap", messages))
 
 
-def test_identify_takes_it(tmp_path: Path, paper: hs.Scenario) -> None:
+def test_identify_takes_it(tmp_path: Path, paper: hs.Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
+    try_delays(monkeypatch, 0, 1)
     random = np.random.default_rng(SEED)
     commands = 0.18 + wandering(random, 300, PERIOD, 1e-3, 0.2)
     log = record(commands, PERIOD, [Drive(4.0, 0.8, 1)] * 6, 1e-7, random)

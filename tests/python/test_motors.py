@@ -317,7 +317,7 @@ def test_a_controller_does_not_know_the_motors(paper: hs.Scenario) -> None:
     ],
 )
 def test_motors_that_fail_are_diagnosed(cause: str, motor: dict[str, float]) -> None:
-    scenario = on_motors(hs.load_scenario("composite-30hz"), motor, simulation__substeps=4, simulation__duration=1.5)
+    scenario = on_motors(hs.load_scenario("composite-30hz"), motor, simulation__substeps=2, simulation__duration=1.5)
     found = hs.diagnose(hs.simulate(scenario))
     assert found.failed
     assert [finding.cause for finding in found.causes][:1] == [cause]

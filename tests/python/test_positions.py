@@ -439,7 +439,7 @@ def test_what_does_not_apply_says_so(paper: hs.Scenario) -> None:
     ],
 )
 def test_slow_legs_are_diagnosed(cause: str, changes: dict[str, Any]) -> None:
-    base = hs.load_scenario("composite-30hz")
+    base = hs.load_scenario("composite-30hz").updated({"simulation.duration": 3.0})
     result = hs.simulate(positioned(base, **{key.replace(".", "__"): value for key, value in changes.items()}))
     diagnosis = hs.diagnose(result)
     assert diagnosis.failed

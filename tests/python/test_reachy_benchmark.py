@@ -209,7 +209,7 @@ def test_a_face_at_rest_is_at_one_place_however_the_camera_is_turned() -> None:
     assert np.linalg.norm(places[0]) == pytest.approx(1.0, abs=0.005)
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_order_of_the_laws(seed: int) -> None:
     """A latency that is not known: the shipped law overshoots more than the fix, and that more than hexservo."""
     print(f"seed {seed}")

@@ -74,9 +74,10 @@ def test_legs_without_overshoot_rest_at_the_edge_of_their_friction() -> None:
     assert np.median(widths) < 0.5
 
 
-def test_legs_that_overshoot_rest_within_their_friction() -> None:
-    commands, joints, edge, _ = drives(60, (0.4, 0.8))
-    for leg in range(60):
+@pytest.mark.parametrize("count", [12, pytest.param(60, marks=pytest.mark.slow)])
+def test_legs_that_overshoot_rest_within_their_friction(count: int) -> None:
+    commands, joints, edge, _ = drives(count, (0.4, 0.8))
+    for leg in range(count):
         rests = find_rests(commands[:, leg], joints[:, leg])
         assert rests is not None
         assert abs(rests.short.value) <= edge[leg] + 2e-6

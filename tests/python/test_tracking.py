@@ -514,7 +514,7 @@ SWAYING = {
     "camera.noise": 0.1,
     "camera.latency": 0.06,
     "metrics.band": 30.0,  # 0.86 deg
-    "simulation.duration": 4.0,
+    "simulation.duration": 3.0,
 }
 
 
@@ -531,7 +531,7 @@ BASE_MOVES = {  # as far the other way, before a target in the world: the accele
         ("lag_not_led", {"lead": 0.0}, TARGET_MOVES),
         pytest.param("lag_not_led", {"lead": 4.0}, TARGET_MOVES, marks=pytest.mark.slow),
         pytest.param("lag_not_led", {"lead": 4.0}, BASE_MOVES, marks=pytest.mark.slow),
-        ("target_filter", {"certainty": 500.0}, TARGET_MOVES),
+        pytest.param("target_filter", {"certainty": 500.0}, TARGET_MOVES, marks=pytest.mark.slow),
         pytest.param("target_filter", {"noise": 500.0}, TARGET_MOVES, marks=pytest.mark.slow),
         ("target_filter", {"noise": 500.0}, BASE_MOVES),
         pytest.param("target_filter", {"jump": 1e-3}, TARGET_MOVES, marks=pytest.mark.slow),

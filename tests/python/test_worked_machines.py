@@ -180,7 +180,7 @@ def test_joints_may_vary_where_the_gains_fit_the_machine() -> None:
 
 
 def test_a_report_of_joints_anywhere(tmp_path: Path) -> None:
-    scenario = hs.load_scenario("rubin-camera-hexapod").updated({"simulation.duration": 2.0})
+    scenario = hs.load_scenario("rubin-camera-hexapod").updated({"simulation.duration": 0.5})
     file = tmp_path / "rubin.html"
     hs.write_report(hs.simulate(scenario), file)
     assert "The machine in space" in file.read_text(encoding="utf-8")
