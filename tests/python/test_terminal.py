@@ -58,20 +58,24 @@ def test_commands_on_every_packaged_scenario(name: str) -> None:
 
 
 @pytest.mark.parametrize("columns", [80, pytest.param(10_000, marks=pytest.mark.slow)])
-def test_findings_at_any_width(columns: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in ("terminal", "print_sections"):
-        monkeypatch.setattr(f"hexservo.cli.{module}.width", lambda: columns)
-    for arguments in (
+@pytest.mark.parametrize(
+    "arguments",
+    [
         ["analyse", "paper"],
-        ["analyse", "composite-30hz"],
+        pytest.param(["analyse", "composite-30hz"], marks=pytest.mark.slow),
         ["diagnose", "fails-late-camera"],
-        ["diagnose", "fails-leg-limits"],
+        pytest.param(["diagnose", "fails-leg-limits"], marks=pytest.mark.slow),
         ["certify", "paper-composite"],
         ["compare", "--scenarios", "paper,textbook-translation", "--laws", "hybrid,kelly", *SHORT],
-    ):
-        _, out, error = invoke(*arguments)
-        assert_fit_for_a_terminal(error + out)
-        assert "…" not in out
+    ],
+    ids=lambda arguments: " ".join(arguments[:2]),
+)
+def test_findings_at_any_width(arguments: list[str], columns: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in ("terminal", "print_sections"):
+        monkeypatch.setattr(f"hexservo.cli.{module}.width", lambda: columns)
+    _, out, error = invoke(*arguments)
+    assert_fit_for_a_terminal(error + out)
+    assert "…" not in out
 
 
 @pytest.mark.parametrize("name", ["paper"])
