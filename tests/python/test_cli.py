@@ -386,7 +386,7 @@ def test_ctrl_c_while_writing_leaves_nothing(tmp_path: Path, monkeypatch: pytest
 
 
 def test_results_that_cannot_be_written_are_still_printed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A limit on the size of files stops the writing in the figures, which here are one that is larger than the rest."""
+    """A limit on the size of files stops the writing in the figures: here one, larger than all other files."""
     monkeypatch.setattr("hexservo.draw.plots.paper_images", lambda _: {"fig3_feature_paths.png": bytes(1_000_000)})
     sizes = {path.name: path.stat().st_size for path in folder_of_a_run(tmp_path / "whole").iterdir()}
     largest = max(sizes, key=lambda name: sizes[name])
