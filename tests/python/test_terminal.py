@@ -61,14 +61,14 @@ def test_commands_on_every_packaged_scenario(name: str) -> None:
 @pytest.mark.parametrize(
     "arguments",
     [
-        ["analyse", "paper"],
-        pytest.param(["analyse", "composite-30hz"], marks=pytest.mark.slow),
+        ["analyse", "paper", "--set", "robot.stroke=2e-3", "--set", "robot.force_limit=0.2"],
+        *(pytest.param(["analyse", name], marks=pytest.mark.slow) for name in ("paper", "composite-30hz")),
         ["diagnose", "fails-late-camera"],
         pytest.param(["diagnose", "fails-leg-limits"], marks=pytest.mark.slow),
         ["certify", "paper-composite"],
         ["compare", "--scenarios", "paper,textbook-translation", "--laws", "hybrid,kelly", *SHORT],
     ],
-    ids=lambda arguments: " ".join(arguments[:2]),
+    ids=lambda arguments: " ".join(arguments[:3]),
 )
 def test_findings_at_any_width(arguments: list[str], columns: int, monkeypatch: pytest.MonkeyPatch) -> None:
     for module in ("terminal", "print_sections"):
