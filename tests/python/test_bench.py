@@ -31,7 +31,7 @@ from hexservo.scenario.laws import LAWS
 from hexservo.scenario.parameters import core_parameters
 
 ROOT = Path(__file__).resolve().parents[2]
-# Fewer and shorter runs than `--quick` alone has, and in a process of its own, since --realtime is of a whole process.
+# Fewer and shorter runs than `--quick` alone has, and in a separate process, since --realtime is of a whole one.
 COMMAND = """
 from dataclasses import replace
 from hexservo.cli.commands import main

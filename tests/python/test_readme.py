@@ -25,7 +25,7 @@ def examples(page: Path) -> list[str]:
 
 
 def output_of(example: str, folder: Path) -> str:
-    """What an example prints, in names of its own."""
+    """What an example prints; it has its names to itself."""
     printed = io.StringIO()
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(printed):
         patch.chdir(folder)
