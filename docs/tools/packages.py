@@ -37,6 +37,12 @@ def module_name(path: Path, root: Path = SOURCES) -> str:
 
 
 @cache
+def tree_of(path: Path) -> ast.Module:
+    """Read a file's syntax tree."""
+    return ast.parse(path.read_text(encoding="utf-8"), str(path))
+
+
+@cache
 def imports(root: Path = SOURCES) -> tuple[Import, ...]:
     """Read every import of a module of hexservo, those within functions and for type checkers alone included."""
     files = {module_name(path, root): path for path in sorted(root.rglob("*.py"))}
@@ -44,7 +50,7 @@ def imports(root: Path = SOURCES) -> tuple[Import, ...]:
 
 
 def _imports_of(module: str, path: Path, files: dict[str, Path]) -> Iterator[Import]:
-    tree = ast.parse(path.read_text(encoding="utf-8"), str(path))
+    tree = tree_of(path)
     never_run = {
         inner
         for node in ast.walk(tree)

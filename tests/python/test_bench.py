@@ -5,11 +5,13 @@ from __future__ import annotations
 import dataclasses
 import importlib.util
 import json
+import os
 import re
 import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from types import ModuleType
@@ -29,7 +31,14 @@ from hexservo.scenario.laws import LAWS
 from hexservo.scenario.parameters import core_parameters
 
 ROOT = Path(__file__).resolve().parents[2]
-HEXSERVO = [sys.executable, "-m", "hexservo"]
+# Fewer and shorter runs than `--quick` alone has, and in a separate process, since --realtime is of a whole one.
+COMMAND = """
+from dataclasses import replace
+from hexservo.cli.commands import main
+from hexservo.run import bench
+bench.QUICK = replace(bench.QUICK, rounds=2, duration=0.5, scenarios=16)
+main()
+"""
 SHORT = ["--quick", "--ticks", "5000", "--seconds", "0.02"]
 FILES = {"bench.json", "bench.png", "bench.svg", ".hexservo-output"}
 
@@ -40,15 +49,16 @@ FILES = {"bench.json", "bench.png", "bench.svg", ".hexservo-output"}
 BATCH_RATIOS = {"avx2": 2.0, "avx512": 2.0, "baseline": 0.87}
 
 
-def bench(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*HEXSERVO, "bench", *arguments], cwd=cwd, capture_output=True, text=True, check=False)
+def bench(*arguments: str) -> Any:
+    return CliRunner().invoke(app, ["bench", *arguments])
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What a short run writes."""
     parent = tmp_path_factory.mktemp("bench")
-    run = bench(*SHORT, "--realtime", "--out", "out", cwd=parent)
+    command = [sys.executable, "-c", COMMAND, "bench", *SHORT, "--realtime", "--out", "out"]
+    run = subprocess.run(command, cwd=parent, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     assert "servo tick of hybrid: SCHED_FIFO" in run.stdout
     assert "servo tick of each law, free-running" in run.stdout
@@ -81,8 +91,8 @@ def test_it_writes_all_files_and_keeps_earlier_ones(folder: Path) -> None:
     assert all(path.stat().st_size > 0 for path in folder.iterdir())
     before = (folder / "bench.json").read_bytes()
     started = time.monotonic()
-    again = bench("--out", "out", cwd=folder.parent)  # refused before anything is measured
-    assert again.returncode == 2
+    again = bench("--out", str(folder))  # refused before anything is measured
+    assert again.exit_code == 2
     assert "holds results already" in again.stderr
     assert time.monotonic() - started < 60.0
     assert (folder / "bench.json").read_bytes() == before
@@ -119,15 +129,17 @@ def test_the_json_says_what_was_measured_on_what(document: dict[str, Any]) -> No
         assert speed["processor"] <= 1.05 * speed["wall"] * speed["threads"]
 
 
-def test_ctrl_c_ends_it_and_leaves_nothing(tmp_path: Path) -> None:
-    process = subprocess.Popen(
-        [*HEXSERVO, "bench", "--ticks", "100000000", "--out", "out"], cwd=tmp_path, stderr=subprocess.PIPE, text=True
-    )
-    time.sleep(4.0)
-    process.send_signal(signal.SIGINT)
-    _, error = process.communicate(timeout=30)
-    assert process.returncode == 130, error
-    assert "Interrupted" in error
+def test_ctrl_c_ends_it_and_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ticks = module._time_ticks
+
+    def interrupted(*arguments: Any) -> module.TickTiming:
+        threading.Timer(0.2, os.kill, [os.getpid(), signal.SIGINT]).start()
+        return ticks(*arguments)
+
+    monkeypatch.setattr(module, "_time_ticks", interrupted)
+    ended = bench("--ticks", "100000000", "--out", str(tmp_path / "out"))
+    assert ended.exit_code == 130, ended.stderr
+    assert "Interrupted" in ended.stderr
     assert not any(tmp_path.iterdir())
 
 
@@ -146,8 +158,8 @@ def test_a_full_disk_leaves_the_table(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize("arguments", [["--ticks", "10"], ["--seconds", "0"], ["--seconds", "nan"]])
-def test_numbers_out_of_range_are_refused(tmp_path: Path, arguments: list[str]) -> None:
-    assert bench(*arguments, cwd=tmp_path).returncode == 2
+def test_numbers_out_of_range_are_refused(arguments: list[str]) -> None:
+    assert bench(*arguments).exit_code == 2
 
 
 # ---- Ticks ----------------------------------------------------------------------------------------------------------
@@ -259,6 +271,7 @@ def test_a_batch_outruns_the_plain_loop(paper: hs.Scenario) -> None:
         assert value >= BATCH_RATIOS[name], f"{name}: expected at least {BATCH_RATIOS[name]}, got {value:.2f}"
 
 
+@pytest.mark.slow
 def test_metrics_that_nobody_asked_for_take_no_time(paper: hs.Scenario) -> None:
     varied = {"uncertainty.depth": np.linspace(-0.3, 0.3, 64)}  # whole packs: seconds of the core, not of Python
     times: dict[bool, list[float]] = {True: [], False: []}

@@ -32,9 +32,13 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> hs.CampaignResult:
 
 @pytest.fixture(scope="module")
 def more(tmp_path_factory: pytest.TempPathFactory) -> tuple[Section, ...]:
-    """Sections of a search for a front, and of sensitivity."""
+    """Sections of a search for a front, and of sensitivity: of few candidates, as a page shows a front of any size."""
     tune = SHORT["tune"] | {"minimise": ["rms_error", "peak_leg_force"], "over": 2}
-    found = hs.tune(SHORT | {"tune": tune}, tmp_path_factory.mktemp("tune") / "out", generations=2, rounds=1)
+    short = SHORT["scenario"].updated({"simulation.duration": 0.1, "metrics.rms_start": 0.05})
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("hexservo.campaigns.strategies._POPULATION", 8)
+        file = SHORT | {"scenario": short, "tune": tune}
+        found = hs.tune(file, tmp_path_factory.mktemp("tune") / "out", generations=2, rounds=1)
     return (*found.sections(), hs.sensitivity(SHORT, samples=4).section())
 
 
@@ -224,27 +228,30 @@ def test_the_bars_are_the_indices(more: tuple[Section, ...]) -> None:
 
 
 @in_browser
-def test_the_page_in_a_browser(result: hs.CampaignResult, more: tuple[Section, ...]) -> None:
-    """On a laptop, light, and on a phone, dark; both printed too."""
+@pytest.mark.parametrize(
+    ("width", "scheme"), [pytest.param(1280, "light", marks=pytest.mark.slow), (390, "dark")], ids=["laptop", "phone"]
+)
+def test_the_page_in_a_browser(
+    result: hs.CampaignResult, more: tuple[Section, ...], width: int, scheme: Literal["light", "dark"]
+) -> None:
+    """Printed too."""
     from playwright.sync_api import sync_playwright
 
     path = hs.write_campaign_report(result, more)
     problems: list[str] = []
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM)
-        for width in (1280, 390):
-            scheme: Literal["light", "dark"] = "light" if width == 1280 else "dark"
-            page = browser.new_page(viewport={"width": width, "height": 800}, color_scheme=scheme)
-            page.on("console", lambda message: problems.append(message.text) if message.type == "error" else None)
-            page.on("pageerror", lambda error: problems.append(str(error)))
-            page.goto(path.as_uri())
-            charts = page.locator(".chart")
-            for place in range(charts.count()):
-                charts.nth(place).scroll_into_view_if_needed()
-                charts.nth(place).locator(".main-svg").first.wait_for(state="attached")
-            assert charts.count() == 9
-            assert page.evaluate("document.documentElement.scrollWidth") <= width
-            page.pdf()
+        page = browser.new_page(viewport={"width": width, "height": 800}, color_scheme=scheme)
+        page.on("console", lambda message: problems.append(message.text) if message.type == "error" else None)
+        page.on("pageerror", lambda error: problems.append(str(error)))
+        page.goto(path.as_uri())
+        charts = page.locator(".chart")
+        for place in range(charts.count()):
+            charts.nth(place).scroll_into_view_if_needed()
+            charts.nth(place).locator(".main-svg").first.wait_for(state="attached")
+        assert charts.count() == 9
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        page.pdf()
         browser.close()
     assert problems == []
 

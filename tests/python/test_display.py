@@ -54,7 +54,7 @@ def returned(paper: hs.Scenario, tmp_path_factory: pytest.TempPathFactory) -> di
         "BatchResult": hs.simulate_batch(short, VARIED, log="trajectory"),
         "BatchResult of metrics": hs.simulate_batch(short, VARIED, log="metrics"),
         "Comparison": hs.compare([short], ["hybrid", "kelly"]),
-        "Analysis": hs.analyse(hs.load_scenario("composite-30hz")),
+        "Analysis": hs.analyse(hs.load_scenario("composite-30hz"), ["conditioning", "workspace", "camera_rate"]),
         "Certificate": hs.certify(run),
         "Certificate of a sampled run": hs.certify(hs.simulate(sampled)),
         "BatchCertificate": hs.certify_batch(short, VARIED),
@@ -221,6 +221,7 @@ def test_a_notebook_gets_tables_and_figures(returned: dict[str, Any]) -> None:
             assert imread(BytesIO(content), format="png").std() > 0.02  # lines on a ground, not an empty sheet
 
 
+@pytest.mark.slow
 def test_what_a_notebook_shows_of_a_run_is_quick(returned: dict[str, Any]) -> None:
     """Far below the time of one figure at print quality and its files, of which a run has ten."""
 

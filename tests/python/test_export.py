@@ -216,6 +216,8 @@ def test_no_namespace_is_a_name_of_the_c_interface() -> None:
 
 
 CASES = [("hybrid", False), *((law, law in ("hybrid", "pbvs")) for law in MEMBERS)]
+QUICK = [("hybrid", False), ("pbvs", True)]
+SLOW = [case for case in CASES if case not in QUICK]
 PROGRAM = """#include <cstdio>
 #include <cstdlib>
 template <class T>
@@ -250,12 +252,14 @@ def exported(paper: hs.Scenario, law: str, points: bool) -> tuple[hs.Scenario, l
     return scenario, ["target.points", "robot.platform_joints", "robot.base_joints"]
 
 
-@pytest.fixture(scope="module")
-def reader(paper: hs.Scenario, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A program that includes the header of every case, and prints the numbers of the one that it is asked for."""
+@pytest.fixture(scope="module", params=[QUICK, pytest.param(SLOW, marks=pytest.mark.slow)], ids=["quick", "slow"])
+def reader(
+    request: pytest.FixtureRequest, paper: hs.Scenario, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, list[tuple[str, bool]]]:
+    """A program that includes the headers of some cases and prints the numbers of the one that it is asked for."""
     folder = tmp_path_factory.mktemp("reader")
     includes, calls = "", ""
-    for index, (law, points) in enumerate(CASES):
+    for index, (law, points) in enumerate(request.param):
         scenario, seen = exported(paper, law, points)
         header = gains_header(scenario, 1 / 1700)
         write_file(header, folder / f"gains{index}.hpp", TITLE, "hexservo export")
@@ -278,26 +282,28 @@ def reader(paper: hs.Scenario, tmp_path_factory: pytest.TempPathFactory) -> Path
     warnings = ["-Wall", "-Wextra", "-Werror", "-Wno-psabi"]
     command = ["g++", "-std=c++20", *warnings, *headers, "main.cpp", str(core / "src" / "fuzzy.cpp"), "-o", "main"]
     subprocess.run(command, cwd=folder, check=True)
-    return folder / "main"
+    return folder / "main", request.param
 
 
 @pytest.mark.skipif(shutil.which("g++") is None or EIGEN is None, reason="needs g++ and Eigen, as building does")
-@pytest.mark.parametrize(("law", "points"), CASES)
-def test_cpp_reads_every_number_back_bit_for_bit(paper: hs.Scenario, reader: Path, law: str, points: bool) -> None:
-    scenario, seen = exported(paper, law, points)
-    index = str(CASES.index((law, points)))
-    output = subprocess.run([reader, index], check=True, capture_output=True, text=True).stdout
-    read = {name: [float.fromhex(text) for text in texts] for name, *texts in map(str.split, output.splitlines())}
-    settings = core_parameters(scenario)
-    assert read.pop("period") == [1 / 1700]
-    assert set(read) == {*MEMBERS[law], *seen}
-    settings["simulation.step"] = 1 / 1700
-    choices = {key.name: key.choices for key in _core.scenario_keys(law)}
-    for member, numbers in read.items():
-        key = member.replace("gains.", f"controller.{law}.", 1)
-        value = settings[key]
-        value = choices[key].index(value) if isinstance(value, str) else value
-        assert numbers == np.ravel(value).tolist(), member
+def test_cpp_reads_every_number_back_bit_for_bit(
+    paper: hs.Scenario, reader: tuple[Path, list[tuple[str, bool]]]
+) -> None:
+    program, cases = reader
+    for index, (law, points) in enumerate(cases):
+        scenario, seen = exported(paper, law, points)
+        output = subprocess.run([program, str(index)], check=True, capture_output=True, text=True).stdout
+        read = {name: [float.fromhex(text) for text in texts] for name, *texts in map(str.split, output.splitlines())}
+        settings = core_parameters(scenario)
+        assert read.pop("period") == [1 / 1700]
+        assert set(read) == {*MEMBERS[law], *seen}
+        settings["simulation.step"] = 1 / 1700
+        choices = {key.name: key.choices for key in _core.scenario_keys(law)}
+        for member, numbers in read.items():
+            key = member.replace("gains.", f"controller.{law}.", 1)
+            value = settings[key]
+            value = choices[key].index(value) if isinstance(value, str) else value
+            assert numbers == np.ravel(value).tolist(), (law, points, member)
 
 
 # ---- The command ----------------------------------------------------------------------------------------------------

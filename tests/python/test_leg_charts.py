@@ -75,6 +75,13 @@ def test_without_limits_there_is_the_travel_alone(paper: hs.Scenario) -> None:
     assert len(plots.leg_limits(result).axes) in (1, 2)  # two where the time axis is broken
 
 
+@pytest.fixture
+def empty_images(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Files of figures without their pictures, where names are what matters."""
+    monkeypatch.setattr("hexservo.draw.plots.image_bytes", lambda figure, extension: b"")
+
+
+@pytest.mark.usefixtures("empty_images")
 def test_the_figure_has_a_panel_for_each_limit(result: hs.Result, tmp_path: Path) -> None:
     figure = plots.leg_limits(result)
     levels: dict[str, set[float]] = {}
@@ -93,6 +100,7 @@ def test_the_figure_has_a_panel_for_each_limit(result: hs.Result, tmp_path: Path
     assert {"legs.svg", "legs.png"} <= written
 
 
+@pytest.mark.usefixtures("empty_images")
 def test_a_stroke_that_is_exceeded_or_ends_a_run_is_drawn(paper: hs.Scenario) -> None:
     quick = paper.updated({"simulation.duration": 0.05, "robot.force_limit": 10.0})
     short = hs.simulate(quick.updated({"robot.stroke": 1e-3}))

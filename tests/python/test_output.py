@@ -29,6 +29,7 @@ from hexservo.cli.output import write_results
 from hexservo.run import publish
 from hexservo.run.files import MARKER, _Folder, check_file, check_folder, write_file
 from hexservo.run.publish import OutputError, draft_beside
+from hexservo.run.saving import result_bytes
 
 FIGURE = "fig3_feature_paths.svg"
 FILES = {MARKER, "scenario.yaml", "metrics.json", "result.nc", FIGURE}
@@ -41,8 +42,23 @@ def result() -> hs.Result:
 
 @pytest.fixture(autouse=True)
 def quick_figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Write one small file in place of the figures; the command line's tests draw the real ones."""
+    """Write one small file in place of the figures; the command line's tests draw the real ones.
+
+    The run is encoded once: the same run has the same bytes.
+    """
     draw_with(monkeypatch, lambda: None)
+    monkeypatch.setattr("hexservo.run.saving.result_bytes", encoded)
+
+
+RUNS: list[tuple[hs.Result, bytes]] = []
+
+
+def encoded(result: hs.Result) -> bytes:
+    for run, content in RUNS:
+        if run is result:
+            return content
+    RUNS.append((result, bytes(result_bytes(result))))
+    return RUNS[-1][1]
 
 
 def draw_with(monkeypatch: pytest.MonkeyPatch, act: Callable[[], object]) -> None:

@@ -9,23 +9,15 @@ import subprocess
 import sys
 from collections import Counter
 from collections.abc import Sequence
-from functools import cache
-from pathlib import Path
 
 import pytest
 
 import hexservo as hs
 from hexservo.findings.analysis import PARTS
-from packages import PACKAGES, PICTURE, ROOT, SOURCES, Import, imports, module_name, package_of, picture
+from packages import PACKAGES, PICTURE, ROOT, SOURCES, Import, imports, module_name, package_of, picture, tree_of
 
 MOST_LINES = 500
 TOP = {"", "plots", "__main__"}  # the public names: hexservo itself and hexservo.plots
-IMPORTS = imports(SOURCES)
-
-
-@cache
-def tree_of(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
 
 
 def level(module: str) -> int:
@@ -46,7 +38,7 @@ def upward(found: Sequence[Import]) -> list[str]:
 
 def test_imports_go_downwards() -> None:
     """Also those within functions, and those for type checkers: a reader of an annotation looks its class up."""
-    assert upward(IMPORTS) == []
+    assert upward(imports(SOURCES)) == []
     assert upward([Import("run.batch", "draw.batch", "batch_figure", 1)]), "the check finds nothing"
 
 
@@ -73,7 +65,7 @@ def circle(found: Sequence[Import]) -> list[str]:
 
 
 def test_no_import_circles() -> None:
-    assert circle(IMPORTS) == []
+    assert circle(imports(SOURCES)) == []
     pairs = [Import("a", "b", "", 1), Import("b", "c", "", 1), Import("c", "a", "", 1)]
     assert circle(pairs) == ["a", "b", "c", "a"]
 
@@ -82,28 +74,32 @@ def parts_of_findings() -> list[str]:
     """Modules with a class of base Part: the numbers of findings."""
     return [
         each.module
-        for each in IMPORTS
+        for each in imports(SOURCES)
         if (each.source, each.name) == ("findings.part", "Part") and each.module.startswith("findings.")
     ]
 
 
-@pytest.mark.parametrize("module", parts_of_findings())
-def test_numbers_of_findings_do_not_depend_on_their_words(module: str) -> None:
+def test_numbers_of_findings_do_not_depend_on_their_words() -> None:
     """`x` computes, `x_words` makes sentences of what it returns; nothing that `x` imports makes tables."""
-    words = f"{module}_words"
-    assert module in {each.source for each in IMPORTS if each.module == words}, f"{words} does not import {module}"
-    assert "section" in functions_of(words)
-    used = {each.source for each in IMPORTS if each.module == module}
-    assert not [source for source in used if source.endswith("words")]
-    assert not used & WORDING, f"{module} imports {used & WORDING}, which make tables"
+    assert parts_of_findings()
+    sources: dict[str, set[str]] = {}
+    for each in imports(SOURCES):
+        sources.setdefault(each.module, set()).add(each.source)
+    for module in parts_of_findings():
+        words, used = f"{module}_words", sources[module]
+        assert module in sources[words], f"{words} does not import {module}"
+        assert "section" in functions_of(words)
+        assert not [source for source in used if source.endswith("words")]
+        assert not used & wording(), f"{module} imports {used & wording()}, which make tables"
 
 
-WORDING = {each.module for each in IMPORTS if each.source == "findings.evidence" and each.name == "Table"}
+def wording() -> set[str]:
+    return {each.module for each in imports(SOURCES) if each.source == "findings.evidence" and each.name == "Table"}
 
 
 def test_only_words_make_tables() -> None:
     """Below the packages that draw: tables are made by modules of words."""
-    assert {module for module in WORDING if module.startswith("findings.")} - {"findings.wording"} == {
+    assert {module for module in wording() if module.startswith("findings.")} - {"findings.wording"} == {
         f"{module}_words" for module in parts_of_findings()
     }
 
@@ -120,7 +116,7 @@ def functions_of(module: str) -> set[str]:
 def test_no_private_name_leaves_its_module() -> None:
     private = [
         f"{each.module}:{each.line}: imports {each.source}.{each.name}"
-        for each in IMPORTS
+        for each in imports(SOURCES)
         if any(part.startswith("_") for part in (*each.source.split("."), each.name) if not part.startswith("_core"))
         and not each.name.startswith("__")
     ]
@@ -188,7 +184,7 @@ def test_array_types_have_one_home() -> None:
 def test_public_names_are_listed_once_and_there() -> None:
     """The names that `hexservo` lists, imports for type checkers, and imports when they are used are the same."""
     tree = tree_of(SOURCES / "__init__.py")
-    typed = {(each.source, each.name) for each in IMPORTS if each.module == "" and each.for_types}
+    typed = {(each.source, each.name) for each in imports(SOURCES) if each.module == "" and each.for_types}
     table = ast.literal_eval(
         next(
             node.value

@@ -413,6 +413,7 @@ def test_the_example_compiles_with_any_header(
     assert run.stderr == ""
 
 
+@pytest.mark.slow
 def test_the_example_settles_with_a_lens(tmp_path: Path, library: Path) -> None:
     """Its frames hold pixels of the camera, which has a principal point and distorts."""
     text = gains_header(hs.load_scenario("eye-to-hand"))

@@ -631,6 +631,7 @@ def test_the_file_is_whole_and_never_in_place_of_another(result: hs.Result, tmp_
         hs.write_report("paper", path)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_the_report_of_the_paper_is_small_and_quick(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With all findings of certificate, analysis and diagnosis."""
     monkeypatch.setattr("hexservo.report.page.groups", sections.groups)
@@ -728,6 +729,7 @@ DRAW_ALL = """async () => {
 }"""
 
 
+@pytest.mark.slow
 @in_browser
 def test_it_loads_without_an_error_or_a_request(visit: Callable[..., Visit]) -> None:
     seen = visit(viewport=LAPTOP)
@@ -764,6 +766,7 @@ def pixels(shown: Page) -> NDArray[np.float32]:
     return np.asarray(imread(BytesIO(shown.locator("#webgl").screenshot()), format="png"))
 
 
+@pytest.mark.slow
 @in_browser
 def test_the_slider_moves_the_machine_and_the_button_plays(visit: Callable[..., Visit]) -> None:
     seen = visit(viewport=LAPTOP)
@@ -793,6 +796,7 @@ def test_the_slider_moves_the_machine_and_the_button_plays(visit: Callable[..., 
     assert seen.problems == []
 
 
+@pytest.mark.slow
 @in_browser
 @pytest.mark.parametrize("viewport", [PHONE, LAPTOP])
 def test_the_page_does_not_scroll_sideways(visit: Callable[..., Visit], viewport: dict[str, int]) -> None:
@@ -833,6 +837,7 @@ EMPTY = """() => [...document.querySelectorAll("main .scroll")].filter(box => {
 }).map(box => box.getAttribute("aria-label"))"""
 
 
+@pytest.mark.slow
 @in_browser
 def test_on_a_phone_no_names_overlap_and_no_columns_are_empty(browser: Browser, tmp_path: Path) -> None:
     """With all findings of a run whose time axes are broken and whose tables are wide."""
@@ -875,6 +880,7 @@ def brightness(colour: str) -> float:
     return (red + green + blue) / 765
 
 
+@pytest.mark.slow
 @in_browser
 def test_the_dark_scheme(visit: Callable[..., Visit]) -> None:
     seen = visit(viewport=LAPTOP, color_scheme="light")
@@ -906,7 +912,8 @@ HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
 
 @in_browser
 def test_without_webgl_a_still_picture_stands_in(visit: Callable[..., Visit]) -> None:
-    seen = visit(viewport=LAPTOP)
+    """And the rest of the page is there, without an error or a request; slow tests draw all of it."""
+    seen = visit(viewport=LAPTOP, color_scheme="light")
     seen.context.add_init_script(NO_WEBGL)
     shown = seen.open()
     until(shown, TWO_DRAWN)
@@ -917,7 +924,14 @@ def test_without_webgl_a_still_picture_stands_in(visit: Callable[..., Visit]) ->
     assert "no WebGL" in shown.locator("#webgl-missing").inner_text()
     for hidden in ("#webgl", "#play", "#instant"):
         assert not shown.locator(hidden).is_visible()
+    light = shown.evaluate(COLOURS)
+    shown.emulate_media(color_scheme="dark")
+    until(shown, f"getComputedStyle(document.querySelector('.chart .xtick text')).fill !== '{light['ticks']}'")
+    assert brightness(light["page"]) > 0.95 > 0.15 > brightness(shown.evaluate(COLOURS)["page"])
+    assert shown.evaluate("document.documentElement.scrollWidth") <= LAPTOP["width"]
     assert seen.problems == []
+    assert seen.requests == [seen.url]
+    assert shown.evaluate("window.broken") is None
 
 
 @in_browser

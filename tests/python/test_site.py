@@ -25,6 +25,7 @@ from hexservo.scenario.schema import all_keys
 from hexservo.scenario.yaml import load_yaml
 from test_docs import PAGES, ROOT, name_of
 from test_readme import examples, output_of
+from test_terminal import invoke
 
 # Guides whose code is run here, and the packages that it takes.
 GUIDES: dict[str, list[str]] = {
@@ -42,40 +43,41 @@ LAST_LINES = {
 }
 
 
-@pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
+@pytest.mark.parametrize(
+    "page",
+    [pytest.param(page, marks=[pytest.mark.slow] if page.stem == "paper" else []) for page in TUTORIALS],
+    ids=lambda page: page.stem,
+)
 def test_code_of_a_tutorial_runs_as_one_session(page: Path, tmp_path: Path) -> None:
     lines = output_of("\n".join(examples(page)), tmp_path).splitlines()
     assert re.fullmatch(LAST_LINES[page.stem], lines[-1]), lines
 
 
 @pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
-def test_commands_of_a_tutorial_run(page: Path, tmp_path: Path) -> None:
+def test_commands_of_a_tutorial_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
     for block in re.findall(r"```sh\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL):
         for line in block.splitlines():
             program, *arguments = shlex.split(line, comments=True)
             assert program == "hexservo"
-            run = subprocess.run(
-                [sys.executable, "-m", "hexservo", *arguments],
-                cwd=tmp_path,
-                capture_output=True,
-                text=True,
-                check=False,
-            )
-            assert run.returncode == 0, run.stderr
+            code, _, error = invoke(*arguments)
+            assert code == 0, error
 
 
 @pytest.mark.parametrize(("name", "needs"), GUIDES.items(), ids=lambda value: value if isinstance(value, str) else "")
-def test_code_of_a_guide_runs_as_one_session(name: str, needs: list[str], tmp_path: Path) -> None:
+def test_code_of_a_guide_runs_as_one_session(
+    name: str, needs: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Those of other pages are run by the tests of their subject. Files that a page exports are there."""
     for module in needs:
         pytest.importorskip(module)
     if name == "fmu" and not Path(hs.__file__).with_name("libhexservo.so").is_file():
         pytest.skip("the shared library of the C interface was not built")
+    monkeypatch.chdir(tmp_path)
     page = ROOT / "docs" / f"{name}.md"
     for line in re.findall(r"^hexservo (export .*?)(?:#.*)?$", page.read_text(encoding="utf-8"), re.MULTILINE):
-        command = [sys.executable, "-m", "hexservo", *shlex.split(line)]
-        run = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-        assert run.returncode == 0, run.stderr
+        code, _, error = invoke(*shlex.split(line))
+        assert code == 0, error
     output_of("\n".join(examples(page)), tmp_path)
 
 

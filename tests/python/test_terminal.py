@@ -58,20 +58,24 @@ def test_commands_on_every_packaged_scenario(name: str) -> None:
 
 
 @pytest.mark.parametrize("columns", [80, pytest.param(10_000, marks=pytest.mark.slow)])
-def test_findings_at_any_width(columns: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in ("terminal", "print_sections"):
-        monkeypatch.setattr(f"hexservo.cli.{module}.width", lambda: columns)
-    for arguments in (
-        ["analyse", "paper"],
-        ["analyse", "composite-30hz"],
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["analyse", "paper", "--set", "robot.stroke=2e-3", "--set", "robot.force_limit=0.2"],
+        *(pytest.param(["analyse", name], marks=pytest.mark.slow) for name in ("paper", "composite-30hz")),
         ["diagnose", "fails-late-camera"],
-        ["diagnose", "fails-leg-limits"],
+        pytest.param(["diagnose", "fails-leg-limits"], marks=pytest.mark.slow),
         ["certify", "paper-composite"],
         ["compare", "--scenarios", "paper,textbook-translation", "--laws", "hybrid,kelly", *SHORT],
-    ):
-        _, out, error = invoke(*arguments)
-        assert_fit_for_a_terminal(error + out)
-        assert "…" not in out
+    ],
+    ids=lambda arguments: " ".join(arguments[:3]),
+)
+def test_findings_at_any_width(arguments: list[str], columns: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in ("terminal", "print_sections"):
+        monkeypatch.setattr(f"hexservo.cli.{module}.width", lambda: columns)
+    _, out, error = invoke(*arguments)
+    assert_fit_for_a_terminal(error + out)
+    assert "…" not in out
 
 
 @pytest.mark.parametrize("name", ["paper"])

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-import os
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 import hexservo as hs
 from hexservo.scenario.fitted import auto_of
+from test_terminal import invoke
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "your-machine.md").read_text(encoding="utf-8")
@@ -49,23 +50,17 @@ def test_a_tag_of_opencv_is_seen_where_opencv_sees_it(capsys: pytest.CaptureFixt
     np.testing.assert_array_equal(printed, np.round(features))
 
 
-def test_the_commands_run_in_an_empty_folder(tmp_path: Path) -> None:
+def test_the_commands_run_in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
     (commands,) = blocks("sh")
-    environment = {**os.environ, "PATH": f"{tmp_path}{os.pathsep}{os.environ['PATH']}"}
-    program = tmp_path / "hexservo"
-    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m hexservo "$@"\n', encoding="utf-8")
-    program.chmod(0o755)
-    run = subprocess.run(
-        ["sh", "-ec", commands],
-        cwd=tmp_path,
-        input="\n" * 60,
-        capture_output=True,
-        text=True,
-        env=environment,
-        check=False,
-    )
-    assert run.returncode == 0, run.stderr
-    assert "Warning" not in run.stderr
+    for line in commands.splitlines():
+        program, *arguments = shlex.split(line, comments=True)
+        assert program == "hexservo"
+        if arguments[0] == "report":  # of a machine that `new` has written: slow tests work out its findings
+            monkeypatch.setattr("hexservo.report.page.groups", lambda _: [])
+        code, _, error = invoke(*arguments, stdin="\n" * 60)
+        assert code == 0, error
+        assert "Warning" not in error
     assert (tmp_path / "mine.html").stat().st_size > 100_000
 
 
