@@ -19,6 +19,8 @@ import pytest
 import hexservo as hs
 from hexservo.campaigns.candidates import Judged, violation_of
 from hexservo.campaigns.loop_numbers import decay_rate, delay_margin
+from hexservo.campaigns.plan import load_plan
+from hexservo.campaigns.search_steps import SearchSteps
 from hexservo.campaigns.strategies import best_candidate, front_of, not_dominated, relax
 from hexservo.findings.analysis import camera_rate
 from hexservo.run.publish import OutputError
@@ -148,6 +150,17 @@ def test_a_folder_of_another_search_is_refused(uninterrupted: Path) -> None:
     assert fewer.held_out is not None
     assert len(fewer.held_out) == 20
     assert len(hs.load_campaign(uninterrupted / "held-out-1")) == 30
+
+
+def test_hidden_files_of_a_user_are_other_files(tmp_path: Path) -> None:
+    steps = SearchSteps(tmp_path, load_plan(SHORT), 0, 1, pytest.fail)
+    (tmp_path / ".git").mkdir()
+    with pytest.raises(OutputError, match="expected a new folder or that of a search, got one with other files"):
+        steps.opened().__enter__()
+    (tmp_path / ".git").rmdir()
+    (tmp_path / ".hexservo-tune.yaml-0123456789ab.part").write_text("of a killed process", encoding="utf-8")
+    with steps.opened():
+        assert sorted(path.name for path in tmp_path.iterdir()) == ["steps", "tune.yaml"]
 
 
 def test_what_an_earlier_search_found_is_set_aside_where_nothing_is_feasible(tmp_path: Path) -> None:
