@@ -168,11 +168,16 @@ def test_what_an_earlier_search_found_is_set_aside_where_nothing_is_feasible(tmp
     hs.tune(file, tmp_path / "out", generations=1, rounds=1)
     (tmp_path / "out" / "held-out").mkdir()
     (tmp_path / "out" / "front.csv").write_text("of other gains", encoding="utf-8")
+    (tmp_path / "out" / "tuning.json").write_text("with notes", encoding="utf-8")
     assert not hs.tune(file, tmp_path / "out", generations=1, rounds=2).feasible
-    assert sorted(path.name for path in (tmp_path / "out").iterdir() if path.name[0] in "hf") == [
+    assert sorted(path.name for path in (tmp_path / "out").iterdir() if path.suffix != ".yaml") == [
         "front-1.csv",
         "held-out-1",
+        "steps",
+        "tuning-1.json",
+        "tuning.json",
     ]
+    assert (tmp_path / "out" / "tuning-1.json").read_text(encoding="utf-8") == "with notes"
 
 
 # ---- Planted problems -----------------------------------------------------------------------------------------------
@@ -280,9 +285,8 @@ def test_a_front_of_two_metrics(tmp_path: Path) -> None:
     tune = SHORT["tune"] | {"minimise": ["settling_time", "peak_leg_force"], "over": "corners"}
     vary = {"uncertainty.gravity": {"uniform": [-0.05, 0.05]}, "uncertainty.depth": {"uniform": [-0.3, 0.3]}}
     scenario = FILE["scenario"].updated({"simulation.duration": 0.5})
-    result = hs.tune(
-        SHORT | {"scenario": scenario, "tune": tune, "vary": vary}, tmp_path / "out", generations=8, rounds=1, seed=2
-    )
+    file = SHORT | {"scenario": scenario, "tune": tune, "vary": vary}
+    result = hs.tune(file, tmp_path / "out", generations=8, rounds=1, seed=2)
     assert result.feasible
     assert result.variations == 4  # corners of two numbers
     values = np.array([point.values for point in result.front])
@@ -302,6 +306,11 @@ def test_a_front_of_two_metrics(tmp_path: Path) -> None:
     assert lines[0].startswith("settling_time,peak_leg_force,settling_time_held_out,peak_leg_force_held_out,failures")
     assert len(lines) == 1 + len(values)
     assert [section.name for section in result.sections()] == ["tuning", "tuning_history", "tuning_front"]
+    (tmp_path / "out" / "front.csv").write_text("with notes", encoding="utf-8")
+    hs.tune(file, tmp_path / "out", generations=8, rounds=1, seed=2)
+    assert (tmp_path / "out" / "front-1.csv").read_text(encoding="utf-8") == "with notes"
+    assert (tmp_path / "out" / "front.csv").read_text(encoding="utf-8").splitlines() == lines
+    assert sorted(path.name for path in (tmp_path / "out").glob("tuning*")) == ["tuning.json"], "the same content"
 
 
 def test_without_a_metric_the_smallest_margin_grows(tmp_path: Path) -> None:

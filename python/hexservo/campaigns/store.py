@@ -417,6 +417,21 @@ def write_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode())
 
 
+def write_beside(path: Path, text: str) -> None:
+    """Write a file of a campaign's folder; one of a different text gets a number, since it may have a user's changes.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written, or the other one not be renamed.
+    """
+    content = text.encode()
+    with _refusing(path):
+        if os.path.lexists(path) and not (path.is_file() and path.read_bytes() == content):
+            path.rename(_free_place(path))
+    write_bytes(path, content)
+
+
 def write_bytes(path: Path, content: bytes) -> None:
     """Write a file beside its place, have it on the disk, and give it its name; its folder is made.
 
