@@ -356,7 +356,11 @@ def test_damaged_chunks_are_computed_again(whole: Path, tmp_path: Path) -> None:
     assert '000002.parquet": expected a chunk as hexservo wrote it' in warnings[0]
     assert "expected the runs 400 to 499, got 200 to 299; it is now " in warnings[1]
     assert sorted(path.name for path in (out / "damaged").iterdir()) == [f"00000{i}.parquet" for i in (2, 4, 7)]
-    assert (out / "damaged" / "000002.parquet").read_bytes() == content[:-100]
+    (chunks / "000002.parquet").write_bytes(b"again")
+    hs.campaign(FILE, out, warn=warnings.append)
+    assert "000002-1.parquet" in warnings[3]
+    assert (out / "damaged" / "000002.parquet").read_bytes() == content[:-100], "an earlier copy stays"
+    assert (out / "damaged" / "000002-1.parquet").read_bytes() == b"again"
     assert digest_of(out) == digest_of(whole)
 
 

@@ -296,6 +296,15 @@ REFUSED = [
         "vary.camera.noise.clip: expected limits that leave",
     ),
     (
+        {"vary": {"uncertainty.gravity": {"normal": [0.0, 0.02], "clip": [0.07, 0.12]}}},
+        r"vary.uncertainty.gravity.clip: expected limits that leave something of -0.06 ... 0.06, mean \+- 3 standard "
+        r"deviations, got \[0.07, 0.12\]",
+    ),
+    (
+        {"vary": {"uncertainty.gravity": {"normal": [0.0, 0.02], "clip": [-0.12, -0.06]}}},
+        "vary.uncertainty.gravity.clip: expected limits that leave something of -0.06",
+    ),
+    (
         {"vary": {"camera.noise": {"uniform": [0, 1], "clip": [1, 0]}}},
         r"vary.camera.noise.clip: expected \[low, high\]",
     ),

@@ -19,6 +19,8 @@ import pytest
 import hexservo as hs
 from hexservo.campaigns.candidates import Judged, violation_of
 from hexservo.campaigns.loop_numbers import decay_rate, delay_margin
+from hexservo.campaigns.plan import load_plan
+from hexservo.campaigns.search_steps import SearchSteps
 from hexservo.campaigns.strategies import best_candidate, front_of, not_dominated, relax
 from hexservo.findings.analysis import camera_rate
 from hexservo.run.publish import OutputError
@@ -150,16 +152,32 @@ def test_a_folder_of_another_search_is_refused(uninterrupted: Path) -> None:
     assert len(hs.load_campaign(uninterrupted / "held-out-1")) == 30
 
 
+def test_hidden_files_of_a_user_are_other_files(tmp_path: Path) -> None:
+    steps = SearchSteps(tmp_path, load_plan(SHORT), 0, 1, pytest.fail)
+    (tmp_path / ".git").mkdir()
+    with pytest.raises(OutputError, match="expected a new folder or that of a search, got one with other files"):
+        steps.opened().__enter__()
+    (tmp_path / ".git").rmdir()
+    (tmp_path / ".hexservo-tune.yaml-0123456789ab.part").write_text("of a killed process", encoding="utf-8")
+    with steps.opened():
+        assert sorted(path.name for path in tmp_path.iterdir()) == ["steps", "tune.yaml"]
+
+
 def test_what_an_earlier_search_found_is_set_aside_where_nothing_is_feasible(tmp_path: Path) -> None:
     file = SHORT | {"require": [*SHORT["require"], "peak_error <= 1"]}
     hs.tune(file, tmp_path / "out", generations=1, rounds=1)
     (tmp_path / "out" / "held-out").mkdir()
     (tmp_path / "out" / "front.csv").write_text("of other gains", encoding="utf-8")
+    (tmp_path / "out" / "tuning.json").write_text("with notes", encoding="utf-8")
     assert not hs.tune(file, tmp_path / "out", generations=1, rounds=2).feasible
-    assert sorted(path.name for path in (tmp_path / "out").iterdir() if path.name[0] in "hf") == [
+    assert sorted(path.name for path in (tmp_path / "out").iterdir() if path.suffix != ".yaml") == [
         "front-1.csv",
         "held-out-1",
+        "steps",
+        "tuning-1.json",
+        "tuning.json",
     ]
+    assert (tmp_path / "out" / "tuning-1.json").read_text(encoding="utf-8") == "with notes"
 
 
 # ---- Planted problems -----------------------------------------------------------------------------------------------
@@ -268,9 +286,8 @@ def test_a_front_of_two_metrics(tmp_path: Path) -> None:
     tune = SHORT["tune"] | {"minimise": ["settling_time", "peak_leg_force"], "over": "corners"}
     vary = {"uncertainty.gravity": {"uniform": [-0.05, 0.05]}, "uncertainty.depth": {"uniform": [-0.3, 0.3]}}
     scenario = FILE["scenario"].updated({"simulation.duration": 0.5})
-    result = hs.tune(
-        SHORT | {"scenario": scenario, "tune": tune, "vary": vary}, tmp_path / "out", generations=8, rounds=1, seed=2
-    )
+    file = SHORT | {"scenario": scenario, "tune": tune, "vary": vary}
+    result = hs.tune(file, tmp_path / "out", generations=8, rounds=1, seed=2)
     assert result.feasible
     assert result.variations == 4  # corners of two numbers
     values = np.array([point.values for point in result.front])
@@ -290,6 +307,11 @@ def test_a_front_of_two_metrics(tmp_path: Path) -> None:
     assert lines[0].startswith("settling_time,peak_leg_force,settling_time_held_out,peak_leg_force_held_out,failures")
     assert len(lines) == 1 + len(values)
     assert [section.name for section in result.sections()] == ["tuning", "tuning_history", "tuning_front"]
+    (tmp_path / "out" / "front.csv").write_text("with notes", encoding="utf-8")
+    hs.tune(file, tmp_path / "out", generations=8, rounds=1, seed=2)
+    assert (tmp_path / "out" / "front-1.csv").read_text(encoding="utf-8") == "with notes"
+    assert (tmp_path / "out" / "front.csv").read_text(encoding="utf-8").splitlines() == lines
+    assert sorted(path.name for path in (tmp_path / "out").glob("tuning*")) == ["tuning.json"], "the same content"
 
 
 def test_without_a_metric_the_smallest_margin_grows(tmp_path: Path) -> None:

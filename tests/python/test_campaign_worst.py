@@ -45,6 +45,12 @@ def test_the_box_of_a_distribution(form: dict[str, Any], box: tuple[float, float
     assert set(beyond.tolist()) <= {0.0, 1.0} if "choice" not in form else beyond.min() >= 0
 
 
+def test_a_box_without_width_has_places() -> None:
+    variation = variation_of({"normal": [1e20, 1.0]})
+    assert variation.box == (1e20, 1e20)
+    np.testing.assert_array_equal(variation.share_of(np.array([1e19, 1e20, 1e21])), [0.0, 0.0, 1.0])
+
+
 def test_a_run_is_found_at_its_place_in_the_box() -> None:
     plan = load_plan("campaign-real-machine")
     drawing = plan.drawing()

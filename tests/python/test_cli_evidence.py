@@ -106,6 +106,12 @@ def test_sections_are_printed_in_words_and_tables(
     ]
 
 
+def test_results_that_nothing_judges_have_no_verdict() -> None:
+    table = Table("Values", [Column("index")], [(0.5,)])
+    heads = [str(next(printed([Section("one", "Theme", ["Words."], items)]))) for items in ([], [table])]
+    assert heads == ["Theme: not applicable", "Theme"]
+
+
 def test_the_page_that_explains_is_named_where_it_is_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     installed = page_path("docs/model.md")
     assert installed is not None

@@ -184,6 +184,8 @@ def test_text_says_what_came_out(returned: dict[str, Any]) -> None:
     assert 'Diagnosis of "fails-late-camera"' in repr(returned["Diagnosis"])
     assert returned["Diagnosis"].causes[0].title in " ".join(repr(returned["Diagnosis"]).split())
     assert re.search(r"\n  kelly: 1 (not )?settled", repr(returned["Comparison"]))
+    for name in ("Sensitivity", "RareFailures"):  # results that nothing judges
+        assert "not applicable" not in repr(returned[name]) + returned[name]._repr_html_(), name
 
 
 class Balanced(HTMLParser):

@@ -31,7 +31,7 @@ from hexservo.findings.wording import cell_text
 from hexservo.report import check_report
 from hexservo.report.charts import curves, needed
 from hexservo.report.documentation import is_page, page_html
-from hexservo.report.evidence_html import page_text
+from hexservo.report.evidence_html import page_text, section_html
 from hexservo.report.figures import figures
 from hexservo.report.html import TITLE, Html, element, json_script
 from hexservo.report.page import page
@@ -159,6 +159,12 @@ def test_the_order_and_the_words(text: str) -> None:
         "plotly.js 4" if "plotly.js v4" in text else "plotly.js",
     ):
         assert sentence in words, sentence
+
+
+def test_results_that_nothing_judges_have_no_badge() -> None:
+    table = Table("Values", [Column("index")], [(0.5,)])
+    heads = [re.findall("<h3>.*</h3>", section_html(Section("a", "Theme", [], items), "a")) for items in ([], [table])]
+    assert heads == [['<h3>Theme <span class="badge open">not applicable</span></h3>'], ["<h3>Theme </h3>"]]
 
 
 def test_metrics_versions_and_the_scenario_are_there(text: str, result: hs.Result) -> None:

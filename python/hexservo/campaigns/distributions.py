@@ -91,7 +91,8 @@ class Variation:
             return np.asarray((places + 0.5) / len(self.parameters))
         if self.kind == "log":
             low, high, numbers = np.log(low), np.log(high), np.log(np.maximum(numbers, low))
-        return np.asarray(np.clip((numbers - low) / (high - low), 0.0, 1.0))
+        width = (high - low) or 1.0  # rounding may leave none, as of [1e20, 1.0]: then every place has the same number
+        return np.asarray(np.clip((numbers - low) / width, 0.0, 1.0))
 
     def to_plain(self) -> Any:
         """Return what a campaign file writes for it."""
@@ -160,10 +161,11 @@ def variation_of(value: Any) -> Variation:
     if found.symmetric and not found.each:
         raise refusal((("symmetric",), "expected each: true beside it, got none"))
     if clip is not None:
-        reach = found.reach
-        if clip[1] <= reach[0] or clip[0] >= reach[1]:
+        low, high = found.box  # of a normal one 3 sigma: limits beyond would make nearly all runs equal
+        if clip[1] <= low or clip[0] >= high:
+            what = f", mean +- {_SIGMAS:g} standard deviations" if kind == "normal" else ""
             raise refusal(
-                (("clip",), f"expected limits that leave something of {reach[0]:g} ... {reach[1]:g}, got {list(clip)}")
+                (("clip",), f"expected limits that leave something of {low:g} ... {high:g}{what}, got {list(clip)}")
             )
     return Variation(kind, parameters, clip, **flags)
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexservo.campaigns.plan import CampaignPlan
-from hexservo.campaigns.store import locked, remove_drafts, write_bytes, write_text
+from hexservo.campaigns.store import locked, remove_drafts, require_empty, write_bytes, write_text
 from hexservo.run.publish import OutputError, named
 from hexservo.scenario.reading import path_text
 from hexservo.scenario.version import VERSION
@@ -72,10 +72,8 @@ class SearchSteps:
         with locked(self.folder):
             if path.exists():
                 self._take_up(path)
-            elif not all(entry.name.startswith(".") for entry in self.folder.iterdir()):
-                raise OutputError(
-                    f"{named(self.folder)}: expected a new folder or that of a search, got one with other files"
-                )
+            else:
+                require_empty(self.folder, "a search")
             write_text(path, dump_yaml({**self.plan.to_mapping(), "record": self.record}))
             with contextlib.suppress(FileExistsError):
                 (self.folder / "steps").mkdir()

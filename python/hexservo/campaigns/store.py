@@ -6,6 +6,7 @@ import contextlib
 import errno
 import fcntl
 import hashlib
+import itertools
 import json
 import os
 import re
@@ -133,10 +134,8 @@ class Store:
         plan = self.folder / PLAN
         if plan.exists():
             self._take_up()
-        elif not all(map(_is_draft, self.folder.iterdir())):
-            raise OutputError(
-                f"{named(self.folder)}: expected a new folder or that of a campaign, got one with other files"
-            )
+        else:
+            require_empty(self.folder, "a campaign")
         written = plan_text(self.plan, self.record)
         if not plan.exists() or plan.read_text(encoding="utf-8") != written:
             write_bytes(plan, written.encode())
@@ -196,10 +195,12 @@ class Store:
 
     def set_aside(self, index: int) -> Path:
         """Move a damaged chunk to the folder ``damaged``, out of the way of readers, and return its path."""
-        aside = self.folder / "damaged" / self.path_of(index).name
-        with _refusing(aside):
-            aside.parent.mkdir(exist_ok=True)
-            self.path_of(index).replace(aside)
+        path = self.path_of(index)
+        damaged = self.folder / "damaged"
+        with _refusing(damaged):
+            damaged.mkdir(exist_ok=True)
+            aside = _free_place(damaged / path.name)
+            path.rename(aside)
         return aside
 
     def remove(self, index: int) -> None:
@@ -255,6 +256,18 @@ def locked(folder: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
+def require_empty(folder: Path, owner: str) -> None:
+    """Refuse a folder with anything, hidden or not, but what killed processes left.
+
+    Raises
+    ------
+    OutputError
+        What is there is kept.
+    """
+    if not all(map(_is_draft, folder.iterdir())):
+        raise OutputError(f"{named(folder)}: expected a new folder or that of {owner}, got one with other files")
+
+
 def remove_drafts(folder: Path) -> None:
     """Remove what killed processes left in a folder.
 
@@ -272,6 +285,12 @@ def remove_drafts(folder: Path) -> None:
 def _is_draft(path: Path) -> bool:
     """Return whether a path is a file that `write_bytes` had begun when its process was killed."""
     return _DRAFTS.fullmatch(path.name) is not None and stat.S_ISREG(path.lstat().st_mode)
+
+
+def _free_place(path: Path) -> Path:
+    """Return a path, or where something has it the first one with a number after its stem that is free."""
+    numbered = (path.with_name(f"{path.stem}-{number}{path.suffix}") for number in itertools.count(1))
+    return next(place for place in itertools.chain([path], numbered) if not os.path.lexists(place))
 
 
 def contents(folder: Path) -> list[str]:
@@ -396,6 +415,21 @@ def write_text(path: Path, text: str) -> None:
         It cannot be written.
     """
     write_bytes(path, text.encode())
+
+
+def write_beside(path: Path, text: str) -> None:
+    """Write a file of a campaign's folder; one of a different text gets a number, since it may have a user's changes.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written, or the other one not be renamed.
+    """
+    content = text.encode()
+    with _refusing(path):
+        if os.path.lexists(path) and not (path.is_file() and path.read_bytes() == content):
+            path.rename(_free_place(path))
+    write_bytes(path, content)
 
 
 def write_bytes(path: Path, content: bytes) -> None:

@@ -21,7 +21,7 @@ from hexservo.campaigns.engine import campaign
 from hexservo.campaigns.plan import CampaignPlan, load_plan
 from hexservo.campaigns.result import CampaignResult
 from hexservo.campaigns.search_steps import SearchSteps
-from hexservo.campaigns.store import PLAN, read_plan, require_own_scenario, write_scenario, write_text
+from hexservo.campaigns.store import PLAN, read_plan, require_own_scenario, write_beside, write_scenario
 from hexservo.campaigns.strategies import best_candidate, front_of, relax
 from hexservo.campaigns.tune_result import Edge, FrontPoint, Generation, Relaxation, TuneResult
 from hexservo.campaigns.worst_case import MAX_SEED
@@ -234,7 +234,7 @@ def _finished(search: _Search, plan: CampaignPlan, folder: Path, threads: int | 
         if held_out.interrupted:
             raise KeyboardInterrupt
     if front:
-        write_text(folder / _FRONT, _front_csv(front, candidates))
+        write_beside(folder / _FRONT, _front_csv(front, candidates))
     result = TuneResult(
         scenario=scenario,
         feasible=feasible,
@@ -263,7 +263,7 @@ def _finished(search: _Search, plan: CampaignPlan, folder: Path, threads: int | 
         path=folder / _TUNED,
     )
     text = json.dumps(as_data(result.section().data), indent=2, allow_nan=False) + "\n"
-    write_text(folder / _SUMMARY, text)
+    write_beside(folder / _SUMMARY, text)
     return result
 
 

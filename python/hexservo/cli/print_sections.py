@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from hexservo.cli.terminal import GAP, plain_table, width
 from hexservo.findings.evidence import Item, Section, Table
-from hexservo.findings.wording import VERDICTS, cell_text, numeric_columns
+from hexservo.findings.wording import cell_text, numeric_columns, verdict_text
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -23,7 +23,10 @@ def printed(sections: Sequence[Section]) -> Iterator[RenderableType]:
     for number, section in enumerate(sections):
         if number:
             yield Text("")
-        yield Text.assemble((section.title, "bold"), ": ", (VERDICTS[section.verdict], _STYLES[section.verdict]))
+        heading = Text.assemble((section.title, "bold"))
+        if verdict := verdict_text(section):
+            heading.append(": ").append(verdict, _STYLES[section.verdict])
+        yield heading
         for sentence in section.sentences:
             yield Text(sentence)
         for item in section.items:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from hexservo.findings.wording import VERDICTS
+from hexservo.findings.wording import verdict_text
 from hexservo.run.display import lines_below
 from hexservo.run.drawn import html_of
 
@@ -31,11 +31,14 @@ class Findings:
     def __repr__(self) -> str:
         """Return a line for each section: its title, its verdict and the most important finding."""
         found = self.all_sections()
-        lines = [
-            f"{section.title} ({VERDICTS[section.verdict]}): {''.join(section.sentences[:1])}" for section in found
-        ]
+        lines = [f"{_titled(section)}: {''.join(section.sentences[:1])}" for section in found]
         return lines_below(self.headline(), lines, 2 if len(found) > 1 else 5)
 
     def _repr_html_(self) -> str:
         """Return sentences, tables and figures for a notebook."""
         return html_of(self)
+
+
+def _titled(section: Section) -> str:
+    verdict = verdict_text(section)
+    return f"{section.title} ({verdict})" if verdict else section.title

@@ -18,7 +18,7 @@ Cell: TypeAlias = str | float | int | bool | None
 """Cell of a table: a number is in the unit of its column; None if there is no value."""
 
 Verdict: TypeAlias = Literal["good", "warning", "bad", "open"]
-"""Verdict of a section; open: not applicable."""
+"""Verdict of a section; open: not applicable, or with items results that nothing judges."""
 
 _Thing = TypeVar("_Thing")
 

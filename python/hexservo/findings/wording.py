@@ -6,11 +6,16 @@ import math
 import re
 from collections.abc import Sequence
 
-from hexservo.findings.evidence import Cell, Column, Table
+from hexservo.findings.evidence import Cell, Column, Section, Table
 from hexservo.scenario.wording import number
 
 VERDICTS = {"good": "good", "warning": "warning", "bad": "bad", "open": "not applicable"}
-"""Text of a section's verdict."""
+"""Text of verdicts."""
+
+
+def verdict_text(section: Section) -> str:
+    """Return the text of a section's verdict, empty for results that nothing judges, such as indices of sensitivity."""
+    return "" if section.verdict == "open" and section.items else VERDICTS[section.verdict]
 
 
 def cell_text(cell: Cell, column: Column) -> str:

@@ -15,7 +15,7 @@ from hexservo.campaigns.store import require_own, write_bytes, write_text
 from hexservo.draw.evidence import item_figure
 from hexservo.draw.style import image_bytes
 from hexservo.findings.evidence import Column, Section, Table
-from hexservo.report.evidence_html import badge, item_html, section_html, table_html
+from hexservo.report.evidence_html import badges, item_html, section_html, table_html
 from hexservo.report.html import TITLE, Html, element, paragraphs
 from hexservo.report.page import assembled, explanations, plotly_script, scenario_part
 from hexservo.run.files import check_folder, mark_folder
@@ -103,9 +103,8 @@ def _write_pictures(folder: Path, sections: Sequence[Section]) -> None:
 
 
 def _content(section: Section) -> Html:
-    """Return a section without the title, which its part has; a verdict only where there is one."""
-    judged = [badge(section.verdict)] if section.verdict != "open" else []
-    return element("div", *judged, paragraphs(*section.sentences), *map(item_html, section.items))
+    """Return a section without the title, which its part has."""
+    return element("div", *badges(section), paragraphs(*section.sentences), *map(item_html, section.items))
 
 
 def _words(variation: Variation) -> str:

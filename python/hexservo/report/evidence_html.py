@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hexservo.findings.evidence import Bars, Cell, Column, Curves, HeatMap, Item, Section, Table
-from hexservo.findings.wording import VERDICTS, cell_text, numeric_columns
+from hexservo.findings.wording import VERDICTS, cell_text, numeric_columns, verdict_text
 from hexservo.report.charts import bars, curves, explained, heat_map
 from hexservo.report.html import Html, element, paragraphs
 
@@ -19,11 +19,16 @@ def badge(verdict: str) -> Html:
     return element("span", VERDICTS[verdict], class_=f"badge {verdict}")
 
 
+def badges(section: Section) -> list[Html]:
+    """Return the verdict of a section; none for results that nothing judges."""
+    return [badge(section.verdict)] if verdict_text(section) else []
+
+
 def section_html(section: Section, anchor: str) -> Html:
     """Return a section: its title with the verdict, the findings as sentences, then tables and charts."""
     return element(
         "section",
-        element("h3", section.title, " ", badge(section.verdict)),
+        element("h3", section.title, " ", *badges(section)),
         paragraphs(*section.sentences),
         *[item_html(item) for item in section.items],
         id=anchor,

@@ -17,8 +17,8 @@ from hexservo.draw.evidence import item_figure
 from hexservo.draw.plots import feature_errors, feature_paths
 from hexservo.draw.style import image_bytes
 from hexservo.findings.display import Findings
-from hexservo.findings.evidence import Cell, Column, Item, Table
-from hexservo.findings.wording import VERDICTS
+from hexservo.findings.evidence import Cell, Column, Item, Section, Table
+from hexservo.findings.wording import verdict_text
 from hexservo.report.evidence_html import table_html
 from hexservo.report.html import Html, element, paragraphs
 from hexservo.run.batch import BatchResult
@@ -127,7 +127,7 @@ def _findings_html(findings: Findings) -> str:
         part
         for section in findings.all_sections()
         for part in (
-            element("h4", section.title, " ", element("span", VERDICTS[section.verdict], class_="verdict"), Html(" ")),
+            element("h4", section.title, " ", *_verdict(section)),
             _list(section.sentences),
             *map(_item, section.items),
         )
@@ -140,6 +140,11 @@ def _findings_html(findings: Findings) -> str:
 
 def _page(*parts: Html) -> str:
     return element("div", element("style", Html(_STYLE)), *parts, class_="hexservo")
+
+
+def _verdict(section: Section) -> list[Html]:
+    text = verdict_text(section)
+    return [element("span", text, class_="verdict"), Html(" ")] if text else []
 
 
 def _list(sentences: Iterable[str]) -> Html:

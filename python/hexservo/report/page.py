@@ -15,7 +15,7 @@ from hexservo.findings.check import unlikely
 from hexservo.findings.evidence import Column, Section, Table
 from hexservo.findings.sections import Group, groups
 from hexservo.report.documentation import is_page, page_html
-from hexservo.report.evidence_html import badge, section_html, table_html
+from hexservo.report.evidence_html import badge, badges, section_html, table_html
 from hexservo.report.figures import figures
 from hexservo.report.html import TITLE, Html, element, json_script, paragraphs
 from hexservo.report.scene import SpaceView, scene
@@ -102,8 +102,7 @@ def _summary(result: Result, found: list[Group]) -> Html:
     rows = doubts + [
         element(
             "li",
-            badge(section.verdict),
-            " ",
+            *(Html(f"{one} ") for one in badges(section)),
             element("a", section.title, href=f"#{_anchor(group, section)}"),
             ": ",
             section.sentences[0] if section.sentences else "no findings",
