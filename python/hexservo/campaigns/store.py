@@ -199,7 +199,7 @@ class Store:
         damaged = self.folder / "damaged"
         with _refusing(damaged):
             damaged.mkdir(exist_ok=True)
-            aside = _free_place(damaged / path.name)
+            aside = free_place(damaged / path.name)
             path.rename(aside)
         return aside
 
@@ -287,7 +287,7 @@ def _is_draft(path: Path) -> bool:
     return _DRAFTS.fullmatch(path.name) is not None and stat.S_ISREG(path.lstat().st_mode)
 
 
-def _free_place(path: Path) -> Path:
+def free_place(path: Path) -> Path:
     """Return a path, or where something has it the first one with a number after its stem that is free."""
     numbered = (path.with_name(f"{path.stem}-{number}{path.suffix}") for number in itertools.count(1))
     return next(place for place in itertools.chain([path], numbered) if not os.path.lexists(place))
@@ -428,7 +428,7 @@ def write_beside(path: Path, text: str) -> None:
     content = text.encode()
     with _refusing(path):
         if os.path.lexists(path) and not (path.is_file() and path.read_bytes() == content):
-            path.rename(_free_place(path))
+            path.rename(free_place(path))
     write_bytes(path, content)
 
 

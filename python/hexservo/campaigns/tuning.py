@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import itertools
 import json
 import math
 import os
@@ -21,7 +20,7 @@ from hexservo.campaigns.engine import campaign
 from hexservo.campaigns.plan import CampaignPlan, load_plan
 from hexservo.campaigns.result import CampaignResult
 from hexservo.campaigns.search_steps import SearchSteps
-from hexservo.campaigns.store import PLAN, read_plan, require_own_scenario, write_beside, write_scenario
+from hexservo.campaigns.store import PLAN, free_place, read_plan, require_own_scenario, write_beside, write_scenario
 from hexservo.campaigns.strategies import best_candidate, front_of, relax
 from hexservo.campaigns.tune_result import Edge, FrontPoint, Generation, Relaxation, TuneResult
 from hexservo.campaigns.worst_case import MAX_SEED
@@ -281,9 +280,8 @@ def _set_aside(path: Path) -> None:
     """Rename what belongs to the gains of an earlier search: fewer rounds, or a different check."""
     if not path.exists():
         return
-    places = (path.with_name(f"{path.stem}-{number}{path.suffix}") for number in itertools.count(1))
     try:
-        path.rename(next(place for place in places if not place.exists()))
+        path.rename(free_place(path))
     except OSError as error:
         raise OutputError(f"{named(path)}: cannot be renamed: {error.strerror}") from None
 
