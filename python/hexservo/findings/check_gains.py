@@ -17,7 +17,7 @@ from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.fitted import Machine, auto_of, chosen_keys, fitted_keys
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.laws import LAWS
-from hexservo.scenario.parameters import frame_period
+from hexservo.scenario.parameters import frame_period, image_age
 from hexservo.scenario.pixels import feature_noise
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number, quantity
@@ -143,9 +143,7 @@ def image_delay(scenario: Scenario) -> float:
         delay += 1.0 / (2.0 * math.pi * actuators.bandwidth)
     delay += smoothing_lag(scenario)
     if camera.prediction == "none":
-        delay += (
-            camera.latency + 0.5 * camera.latency_jitter + 0.5 * (frame_period(scenario) - scenario.simulation.step)
-        )
+        delay += image_age(scenario)
     return delay
 
 
