@@ -912,8 +912,7 @@ def test_with_a_wrong_sign_no_camera_is_fast_enough() -> None:
     assert found.runs == ()
 
 
-@pytest.mark.parametrize(("latency", "verdict", "with_this"), [(0.01, "warning", "stable"), (0.0, "bad", "unstable")])
-def test_a_slow_camera_may_be_stable_where_a_perfect_one_is_not(latency: float, verdict: str, with_this: str) -> None:
+def unstable_with_a_perfect_camera(period: float, latency: float) -> tuple[hs.Scenario, camera_rate.CameraRate]:
     """A drive that differs between moves and turns, with a weak prior: one oscillating mode grows at a fast camera."""
     scenario = hs.load_scenario("moog-6dof2000e")
     changes = {
@@ -923,15 +922,23 @@ def test_a_slow_camera_may_be_stable_where_a_perfect_one_is_not(latency: float, 
         "uncertainty.depth": [-0.555, -0.555, 0.555, 0.555],
         "robot.centre_of_mass": [0.0, 0.0, 0.0],
         "robot.payload": {"mass": 0.0, "position": [0.0] * 3, "inertia": [0.0] * 3},
-        "camera.period": 0.01,
+        "camera.period": period,
         "camera.latency": latency,
     }
     scenario = scenario.updated(changes)
     at_rest = loop_at_rest(scenario)
     clock = clock_of(at_rest.scenario)
-    free = loop_margins(at_rest.free, clock)
-    assert free.stable is (float(exponents(at_rest.free, clock)[0].real) < 0.0)
-    section = camera_rate.CameraRate(scenario, None, at_rest, clock, free).section()
+    return scenario, camera_rate.CameraRate(scenario, None, at_rest, clock, loop_margins(at_rest.free, clock))
+
+
+@pytest.mark.parametrize(("latency", "verdict", "with_this"), [(0.01, "warning", "stable"), (0.0, "bad", "unstable")])
+def test_a_slow_camera_may_be_stable_where_a_perfect_one_is_not(latency: float, verdict: str, with_this: str) -> None:
+    scenario, found = unstable_with_a_perfect_camera(0.01, latency)
+    assert found.at_rest is not None
+    assert found.clock is not None
+    assert found.free is not None
+    assert found.free.stable is (float(exponents(found.at_rest.free, found.clock)[0].real) < 0.0)
+    section = found.section()
     assert section.verdict == verdict
     assert f"unstable with a perfect camera, and {with_this} with this one" in section.sentences[0]
     assert "must be at least" in section.sentences[0]
@@ -939,7 +946,31 @@ def test_a_slow_camera_may_be_stable_where_a_perfect_one_is_not(latency: float, 
     assert smallest > 0.0
     (margins,) = (item for item in section.items if isinstance(item, Table))
     assert ["smallest stable latency at this period", "ms", pytest.approx(1e3 * smallest)] in margins.rows
-    assert (loop_numbers.delay_margin(scenario) > 0.0) is free.stable
+    assert (loop_numbers.delay_margin(scenario) > 0.0) is found.free.stable
+
+
+@pytest.mark.parametrize(
+    ("period", "latency", "key", "text"),
+    [
+        (0.3, 0.0, "latency", "no latency searched, from 0 ms to 500 ms, is stable (it is 0 ms)"),
+        (0.01, 0.4, "period", "no period searched, from 8 ms to 500 ms, is stable (it is 10 ms)"),
+    ],
+)
+def test_a_search_in_both_directions_states_what_it_covered(period: float, latency: float, key: str, text: str) -> None:
+    section = unstable_with_a_perfect_camera(period, latency)[1].section()
+    assert text in section.sentences[0]
+    assert section.data["without_kv"][key]["smallest_unstable"] is None
+    assert section.data["without_kv"][key]["looked_at"] == pytest.approx(0.5)
+
+
+def test_a_search_downwards_states_how_far_it_went() -> None:
+    law = {"controller.law": "kelly", "simulation.mode": "sampled"}
+    scenario = hs.load_scenario("paper").updated({**law, "camera.period": 0.1, "camera.latency": 0.4})
+    at_rest = loop_at_rest(scenario)
+    clock = clock_of(at_rest.scenario)
+    found = camera_rate.CameraRate(scenario, None, at_rest, clock, loop_margins(at_rest.free, clock)).section()
+    assert "no period searched, down to 1 ms, is stable (it is 100 ms)" in found.sentences[0]
+    assert "no latency searched, down to 0 ms, is stable (it is 400 ms)" in found.sentences[0]
 
 
 @pytest.mark.parametrize(

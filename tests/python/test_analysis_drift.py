@@ -14,7 +14,7 @@ from hexservo.findings.analysis.camera_margins import exponents
 from hexservo.findings.analysis.drift import Drift, Pattern, Size, loop_matrix
 from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.linear_loop import Clock
-from hexservo.findings.analysis.loop_of_scenario import loop_at_rest
+from hexservo.findings.analysis.loop_of_scenario import clock_of, loop_at_rest
 from hexservo.findings.analysis.poses import Poses, by_displacement
 from hexservo.findings.analysis.rest import Rest
 from hexservo.findings.analysis.scene import scene_of
@@ -267,6 +267,29 @@ def test_a_run_creeps_with_the_time_constant(law: str, body: dict[str, Any], com
     assert measured == pytest.approx(own.time_constant, rel=0.15)  # the start's is that of another pose
 
 
+@pytest.mark.parametrize(
+    ("signs", "positions"), [([1, -1, -1, 1], False), ([-1, 1, 1, -1], False), ([1, -1, -1, 1], True)]
+)
+def test_a_run_with_prediction_creeps_with_the_longer_time_constant(
+    signs: list[int], positions: bool, composite: hs.Scenario
+) -> None:
+    """Frames of 100 ms that arrive after 100 ms: 0.7 times the rate of a perfect camera."""
+    changes = {**camera_with_prediction(0.1), "uncertainty.depth": [0.3 * sign for sign in signs]}
+    scenario = (positioned(composite) if positions else composite).updated(
+        {**changes, "simulation.duration": 60.0, "simulation.log_every": 500}
+    )
+    own = drift.analyse(scenario).own
+    assert own is not None
+    assert own.end is not None
+    result = hs.simulate(scenario)
+    gap = np.linalg.norm(result.position - result.position[0] - own.end[:3], axis=1)
+    measured = math.log(gap[30] / gap[50]) / 20.0
+    assert measured == pytest.approx(own.end_rate, rel=0.03)  # as without prediction
+    perfect = drift.analyse(scenario.updated({"camera.prediction": "none"})).own
+    assert perfect is not None
+    assert own.end_rate < 0.7 * perfect.end_rate
+
+
 def test_resolved_rate_drifts_away_as_fast_as_its_eigenvalue_says(paper: hs.Scenario) -> None:
     """A hundredth of the task, so that the drift stays small: (+,-,+,+), exact dynamics."""
     start = np.array(paper.target.initial_features)
@@ -299,8 +322,10 @@ def test_resolved_rate_drifts_away_as_fast_as_its_eigenvalue_says(paper: hs.Scen
 
 
 def slowest_of_loop(scenario: hs.Scenario) -> float:
-    """Growth of the slowest mode of the linear loop at its goal [1/s], with a frame at every tick and no latency."""
-    return float(exponents(loop_at_rest(scenario).free, Clock(1, 0))[0].real)
+    """Growth of the slowest mode of the linear loop at its goal [1/s], in continuous mode with a perfect camera."""
+    at_rest = loop_at_rest(scenario)
+    clock = Clock(1, 0) if at_rest.as_if_sampled else clock_of(at_rest.scenario)
+    return float(exponents(at_rest.free, clock)[0].real)
 
 
 def weak_prior(factor: float, **changes: Any) -> hs.Scenario:
@@ -318,7 +343,7 @@ def weak_prior(factor: float, **changes: Any) -> hs.Scenario:
 
 
 def test_gains_that_differ_between_axes_may_drift_away_though_no_eigenvalue_is_negative() -> None:
-    scenario = weak_prior(10.0)
+    scenario = weak_prior(10.0, **{"camera.period": None, "camera.latency": 0.0})
     result = drift.analyse(scenario)
     assert result.own is not None
     assert result.own.smallest > 0.0
@@ -332,6 +357,58 @@ def test_gains_that_differ_between_axes_may_drift_away_though_no_eigenvalue_is_n
     own = size_of(result, 0.555)
     assert own.worst.slowest == pytest.approx(min(p.slowest for p in own.patterns), abs=1e-9)
     assert own.negative[0] >= 1
+    # with the machine's own camera, of 34 ms and 34 ms, prediction holds that mode
+    late = drift.analyse(weak_prior(10.0))
+    assert late.own is not None
+    assert late.own.slowest > 0.0
+    assert slowest_of_loop(weak_prior(10.0)) < 0.0
+
+
+@pytest.mark.parametrize(
+    ("law", "gains", "time"),
+    [
+        ("composite", {}, 0.034),
+        ("composite", {}, 0.1),
+        ("composite", {"fuzzy.adaptation": [0.5] * 3 + [150.0] * 3}, 0.1),  # springs much stiffer than what is learned
+        ("composite", {"fuzzy.enabled": False}, 0.1),
+        ("composite", {"fuzzy.enabled": False, "kp": 1e-6}, 0.1),
+        ("computed_torque", {}, 0.1),
+        ("resolved_rate", {}, 0.1),
+    ],
+)
+def test_prediction_slows_the_drift_by_the_age_of_the_image(
+    law: str, gains: dict[str, Any], time: float, composite: hs.Scenario
+) -> None:
+    """Against the linear loop at the scenario's clocks. The goal is home, where e is zero and E exact."""
+    scenario = composite.updated(
+        {
+            **camera_with_prediction(time),
+            "controller.law": law,
+            **{f"controller.{law}.{key}": value for key, value in gains.items()},
+            "target.desired_features": composite.target.initial_features,
+            "uncertainty": {"inertia": 0.0, "coriolis": 0.0, "gravity": 0.0},
+        }
+    )
+    predicted, held = (drift.analyse(scenario.updated({"camera.prediction": way})) for way in ("encoder", "none"))
+    for signs in (WORST, "(-,+,+,-)", "(+,-,+,+)", "(+,+,-,-)"):
+        pattern = pattern_of(predicted, signs)
+        loop = slowest_of_loop(scenario.updated({"uncertainty.depth": pattern.errors.tolist()}))
+        # inertia is left out, and of the age all but its mean
+        assert pattern.rate == pytest.approx(-loop, rel=0.03)
+        assert abs(pattern.rate) < 0.95 * abs(pattern_of(held, signs).rate)
+    age = f"{1e3 * (1.5 * time - 0.001):.3g} ms of the image's mean age"
+    assert age in predicted.section().sentences[1]
+    assert "age" not in held.section().sentences[1]
+
+
+def camera_with_prediction(time: float) -> dict[str, Any]:
+    """Give a sampled loop with frames of a period and a latency of so many seconds, predicted, without K_v."""
+    return {
+        "simulation": {"mode": "sampled", "step": 0.002},
+        "camera": {"period": time, "latency": time, "prediction": "encoder", "noise": 0.0},
+        "controller.switching.kind": "implicit",
+        "controller.composite.kv": 0.0,
+    }
 
 
 @pytest.mark.parametrize(("adaptation", "drive"), [(50.0, 4.0), (50.0, 0.5), (1.0, 4.0)])
@@ -490,8 +567,8 @@ def test_the_start_is_that_of_the_run(composite: hs.Scenario) -> None:
     np.testing.assert_allclose(there.end, at_home.end, rtol=0, atol=1e-7)  # the same pose, and counted from home
 
 
-def test_a_sampled_scenario_has_the_same_numbers(found: Drift, composite: hs.Scenario) -> None:
-    """Whatever its servo period and its camera's times are: nothing of them is in the matrix."""
+def test_a_sampled_scenario_without_prediction_has_the_same_numbers(found: Drift, composite: hs.Scenario) -> None:
+    """Whatever its servo period and its camera's times are: nothing of them is in the rates."""
     sampled = composite.updated(
         {
             "simulation": {"mode": "sampled", "step": 0.002},
@@ -501,6 +578,7 @@ def test_a_sampled_scenario_has_the_same_numbers(found: Drift, composite: hs.Sce
     )
     for one, two in zip(drift.analyse(sampled).sizes, found.sizes, strict=True):
         assert [p.start for p in one.patterns] == [p.start for p in two.patterns]
+        assert [p.rate for p in one.patterns] == [p.rate for p in two.patterns]
         assert [p.end_error for p in one.patterns] == [p.end_error for p in two.patterns]
 
 

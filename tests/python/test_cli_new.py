@@ -198,6 +198,27 @@ def test_times_of_a_machine_that_takes_positions_are_whole_commands(tmp_path: Pa
     assert (gains.bandwidth, gains.noise, scenario.camera.prediction) == (1.5, 0.6, "none")
 
 
+@pytest.mark.parametrize(
+    ("commands", "frames", "taken"),
+    [
+        ("50", "36", 0.04),
+        ("30", "21", 2 / 30),
+        ("60", "59.94", 1 / 60),
+        ("30", "29.97", 1 / 30),
+        ("50", "120", 0.02),
+        ("2", "300", 0.5),
+    ],
+)
+def test_frames_are_not_taken_for_more_frequent_than_they_are(
+    tmp_path: Path, commands: str, frames: str, taken: float
+) -> None:
+    """But for a hundredth of a period between two commands, and for those faster than the commands."""
+    file = tmp_path / "mine.yaml"
+    done = answered(file, positions(commands, "45", "4", "0", p20=frames, p28="0.1"))
+    assert done.exit_code == 0, done.output
+    assert hs.load_scenario(file).camera.period == pytest.approx(taken)
+
+
 @pytest.mark.parametrize(("answer", "taken"), [("0", 0.0), ("10", 0.02), ("50", 0.06), ("60.1", 0.06)])
 def test_no_time_that_makes_a_loop_worse_is_rounded_down(tmp_path: Path, answer: str, taken: float) -> None:
     """At 50 commands a second; 20 frames a second are one in 2.5 commands, and count as one in 3.

@@ -11,7 +11,7 @@ import hexservo as hs
 from fitted_machines import BAND, rotation
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.check import unlikely
-from hexservo.findings.coupling import settling_ratio
+from hexservo.findings.coupling import settling
 from test_fitted_gains import with_auto
 
 OFF_CENTRE = [0.0, 0.0, 0.05]  # half a platform radius
@@ -50,7 +50,7 @@ def settled_at(scenario: hs.Scenario) -> float:
 def test_the_time_to_settle_is_that_of_a_run(paper: hs.Scenario, law: str) -> None:
     centred, coupled = (carrying(paper, law, place) for place in ([0.0, 0.0, 0.0], OFF_CENTRE))
     found = settled_at(coupled) / settled_at(centred)
-    assert settling_ratio(Scene(coupled)) == pytest.approx(found, rel=0.03)
+    assert settling(Scene(coupled)).ratio == pytest.approx(found, rel=0.03)
 
 
 def test_a_narrow_band_of_the_scenario_shows_what_5_percent_hide(paper: hs.Scenario) -> None:
@@ -60,10 +60,43 @@ def test_a_narrow_band_of_the_scenario_shows_what_5_percent_hide(paper: hs.Scena
         carrying(paper, "composite", place).updated(narrow) for place in ([0.0, 0.0, 0.0], [0.03, 0.0, 0.0])
     )
     found = [hs.metrics(hs.simulate(scenario))["settling_time"] for scenario in (coupled, centred)]
-    assert settling_ratio(Scene(coupled)) == pytest.approx(found[0] / found[1], rel=0.05)
-    assert any("couples the axes" in sentence for sentence in unlikely(coupled))
+    assert settling(Scene(coupled)).ratio == pytest.approx(found[0] / found[1], rel=0.05)
+    (warned,) = (sentence for sentence in unlikely(coupled) if "couples the axes" in sentence)
+    assert "settles to 0.5 px, metrics.band, in 1.8 times the time of uncoupled axes" in warned
     wide = coupled.updated({"metrics.band": 0.05 * 27.2})
     assert not any("couples the axes" in sentence for sentence in unlikely(wide))
+
+
+def test_a_band_that_the_law_rests_outside_of_is_left_out(paper: hs.Scenario) -> None:
+    """The prior leaves 0.18 px: no run settles to less, and 5 % of the start is the only band to compare."""
+    coupled = carrying(paper, "composite", OFF_CENTRE)
+    run = hs.simulate(coupled.updated({"simulation.duration": 10.0, "controller.composite.kv": 0.0}))
+    left = float(np.abs(run.feature_error[-1]).max())
+    assert left == pytest.approx(0.177, abs=1e-3)
+    below, above = (settling(Scene(coupled.updated({"metrics.band": factor * left}))) for factor in (0.999, 1.001))
+    assert below.is_share
+    assert below.band == pytest.approx(0.05 * np.abs(run.feature_error[0]).max(), rel=0.02)
+    assert not above.is_share
+    assert above.band == pytest.approx(1.001 * left)
+
+
+@pytest.mark.parametrize(
+    ("gravity", "words"),
+    [
+        (0.0, "settles to 0.001 px, metrics.band, beyond the time"),  # not within three periods
+        (0.02, "settles to 1.3 px, 5 % of that at the start, in 1.6 times the time"),  # rests at 0.25 px
+        (0.2, ""),  # at 2.5 px
+    ],
+)
+def test_an_unknown_weight_leaves_out_the_bands_that_are_not_reached(
+    gravity: float, words: str, paper: hs.Scenario
+) -> None:
+    changes = {"metrics.band": 1e-3, "uncertainty.gravity": gravity}
+    found = [
+        text for text in unlikely(carrying(paper, "pbvs", OFF_CENTRE).updated(changes)) if "couples the axes" in text
+    ]
+    assert len(found) == bool(words)
+    assert all(words in text for text in found)
 
 
 @pytest.mark.parametrize("law", ["hybrid", "composite", "kelly", "resolved_rate", "pbvs", "computed_torque"])
@@ -72,7 +105,7 @@ def test_coupled_axes_are_warned_of_where_the_law_leaves_them_coupled(paper: hs.
     for centre in ([0.0, 0.0, 0.0], OFF_CENTRE):
         scenario = carrying(paper, law, centre)
         found = [sentence for sentence in unlikely(scenario) if sentence.startswith(words)]
-        ratio = settling_ratio(Scene(scenario))
+        ratio = settling(Scene(scenario)).ratio
         assert bool(found) == (ratio < 0.85 or ratio > 1.2)
         if law in ("hybrid", "computed_torque"):
             assert ratio == 1.0
@@ -86,8 +119,8 @@ def test_other_products_of_inertia_couple_axes_too(paper: hs.Scenario) -> None:
     axes = rotation(np.array([0.3, 0.2, 0.0]))
     scenario = carrying(paper, "pbvs", [0.0, 0.0, 0.0])
     turned = scenario.updated({"robot.inertia": (axes @ np.diag([1.5e-4, 1.5e-4, 3e-4]) @ axes.T).tolist()})
-    assert settling_ratio(Scene(scenario)) == pytest.approx(1.0, abs=0.01)
-    assert abs(settling_ratio(Scene(turned)) - 1.0) > 0.02
+    assert settling(Scene(scenario)).ratio == pytest.approx(1.0, abs=0.01)
+    assert abs(settling(Scene(turned)).ratio - 1.0) > 0.02
 
 
 DISPLACED = [-0.01, 0.008, -0.01, -0.02, 0.02, -0.03]  # [m; rad]
@@ -107,7 +140,7 @@ def test_the_time_to_settle_is_from_the_start_of_the_scenario(
     centred, coupled = (carrying(paper, "pbvs", place).updated(changes) for place in ([0.0, 0.0, 0.0], OFF_CENTRE))
     assert any("couples the axes" in sentence for sentence in unlikely(coupled)) == warned
     if warned:
-        assert settling_ratio(Scene(coupled)) == pytest.approx(settled_at(coupled) / settled_at(centred), rel=0.03)
+        assert settling(Scene(coupled)).ratio == pytest.approx(settled_at(coupled) / settled_at(centred), rel=0.03)
 
 
 @pytest.mark.parametrize("gain", ["kp", "kd"])
@@ -125,6 +158,6 @@ def test_without_fuzzy_systems_nothing_adapts(paper: hs.Scenario) -> None:
         carrying(paper, "composite", place).updated({**off, "simulation.duration": 3.0})
         for place in ([0.0, 0.0, 0.0], [0.0, 0.0, 0.03])
     )
-    ratio = settling_ratio(Scene(coupled))
+    ratio = settling(Scene(coupled)).ratio
     assert ratio == pytest.approx(settled_at(coupled) / settled_at(centred), rel=0.07)
-    assert ratio != pytest.approx(settling_ratio(Scene(carrying(paper, "composite", [0.0, 0.0, 0.03]))), rel=0.005)
+    assert ratio != pytest.approx(settling(Scene(carrying(paper, "composite", [0.0, 0.0, 0.03]))).ratio, rel=0.005)

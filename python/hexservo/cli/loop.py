@@ -91,16 +91,18 @@ class PositionLoop:
     def scenario(self, dialogue: Dialogue, machine: dict[str, Any]) -> tuple[dict[str, Any], hs.Scenario]:
         """Return the whole document, and its scenario, for robot, camera and target.
 
-        The servo period is that of the commands, and the other times are whole numbers of it: the frame period the
-        nearest one, latency and delay no shorter than they are, as a loop with less of them looks better than it is.
+        The servo period is that of the commands, and the other times are whole numbers of it, no shorter than they
+        are, as a loop with less of them looks better than it is.
 
         Raises
         ------
         ScenarioError
             For what one answer alone does not tell.
         """
-        frame = self.period * max(1, math.floor(self.frame / self.period + 0.5))
-        latency, delay = (self.period * _no_shorter(time / self.period) for time in (self.latency, self.delay))
+        frame, latency, delay = (
+            self.period * _no_shorter(time / self.period) for time in (self.frame, self.latency, self.delay)
+        )
+        frame = max(frame, self.period)
         times = {"period": frame, "latency": latency, "prediction": "none"}
         law = {
             "auto": {"bandwidth": self.bandwidth},

@@ -10,14 +10,14 @@ import numpy as np
 from hexservo import _core
 from hexservo.findings.analysis.reach import nearest_limit
 from hexservo.findings.analysis.scene import Scene
-from hexservo.findings.coupling import settling_ratio
+from hexservo.findings.coupling import SHARE, settling
 from hexservo.findings.leg_feedback import OF_MARGIN, feedback_margin, integral_margin
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.fitted import Machine, auto_of, chosen_keys, fitted_keys
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.laws import LAWS
-from hexservo.scenario.parameters import frame_period
+from hexservo.scenario.parameters import frame_period, image_age
 from hexservo.scenario.pixels import feature_noise
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number, quantity
@@ -143,9 +143,7 @@ def image_delay(scenario: Scenario) -> float:
         delay += 1.0 / (2.0 * math.pi * actuators.bandwidth)
     delay += smoothing_lag(scenario)
     if camera.prediction == "none":
-        delay += (
-            camera.latency + 0.5 * camera.latency_jitter + 0.5 * (frame_period(scenario) - scenario.simulation.step)
-        )
+        delay += image_age(scenario)
     return delay
 
 
@@ -193,14 +191,16 @@ def _of_coupling(scene: Scene, key: str) -> Iterator[str]:
     """Find an inertia that couples the axes, as that of a centre of mass off the origin: gains are for one axis."""
     if not _OF_MOTION.isdisjoint(chosen_keys(scene.scenario)):  # then the motion is not that of fitted gains
         return
-    ratio = settling_ratio(scene)
+    ratio, band, is_share = settling(scene)
     least, most = _COUPLED
     if ratio < least or ratio > most:  # not where it is not a number
         decoupling = [law for law, traits in _core.LAW_TRAITS.items() if "coriolis_feedforward" in traits.parts]
+        of = f"{100 * SHARE:g} % of that at the start" if is_share else "metrics.band"
         time = f"in {number(ratio, 2)} times the time" if math.isfinite(ratio) else "beyond the time"
         yield (
             f"{key} is fitted axis by axis, but the inertia couples the axes (robot.centre_of_mass, "
-            f"robot.payload.position, products in robot.inertia): the image error settles {time} of uncoupled axes; "
+            f"robot.payload.position, products in robot.inertia): the image error settles to {number(band, 2)} px, "
+            f"{of}, {time} of uncoupled axes; "
             f"{' or '.join(decoupling)} takes the coupling out"
         )
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hexservo import _core
+from hexservo.scenario.block import SAMPLED_MODE
 
 if TYPE_CHECKING:
     from hexservo.scenario.blocks import Blocks
@@ -96,3 +97,11 @@ def gains_of(settings: Settings) -> Any:
 def frame_period(scenario: Blocks) -> float:
     """Return the time between two exposures [s]: the servo period where ``camera.period`` is null."""
     return scenario.simulation.step if scenario.camera.period is None else scenario.camera.period
+
+
+def image_age(scenario: Blocks) -> float:
+    """Return the mean time from an exposure to the ticks at which its image is used [s]: 0 in continuous mode."""
+    if scenario.simulation.mode != SAMPLED_MODE:
+        return 0.0
+    camera = scenario.camera
+    return camera.latency + 0.5 * camera.latency_jitter + 0.5 * (frame_period(scenario) - scenario.simulation.step)

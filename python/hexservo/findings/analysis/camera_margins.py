@@ -32,7 +32,7 @@ class Border:
     """
 
     stable: int | None  # last one found stable [ticks]; None: not even the least is
-    unstable: int | None  # its neighbour that is not [ticks]; None: stable up to `looked_at`
+    unstable: int | None  # its neighbour that is not, or the least searched [ticks]; None: stable up to `looked_at`
     looked_at: int  # [ticks]
     least: int | None = None  # first one that is stable, where a shorter one is not [ticks]; None: none is looked for
 

@@ -72,7 +72,9 @@ def _ms(seconds: float) -> str:
 
 def _at_most(border: Border, tick: float, what: str) -> str:
     if border.stable is None:
-        return f"no {what} is short enough"
+        least, most = border.unstable or 0, border.looked_at
+        extent = f"from {_ms(least * tick)} to {_ms(most * tick)}" if most > least else f"down to {_ms(least * tick)}"
+        return f"no {what} searched, {extent}, is stable"
     if border.least is not None:
         longest = border.looked_at if border.unstable is None else border.stable
         ends = "the largest searched" if border.unstable is None else "beyond which it is unstable again"
@@ -435,10 +437,11 @@ def _data(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins) 
     tick = at_rest.scenario.simulation.step
 
     def times(border: Border) -> dict[str, float | None]:
+        limit = None if border.stable is None else border.unstable  # else the least searched, which is no limit
         return {
             "smallest_stable": None if border.least is None else border.least * tick,
             "largest_stable": None if border.stable is None else border.stable * tick,
-            "smallest_unstable": None if border.unstable is None else border.unstable * tick,
+            "smallest_unstable": None if limit is None else limit * tick,
             "looked_at": border.looked_at * tick,
         }
 

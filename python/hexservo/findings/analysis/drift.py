@@ -14,7 +14,7 @@ from hexservo.findings.analysis.rest import Rest, not_analysed, springs_of
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array, Mask
-from hexservo.scenario.parameters import core_parameters
+from hexservo.scenario.parameters import core_parameters, image_age
 from hexservo.scenario.scenario import Scenario
 
 SIZES = (0.05, 0.3)  # of depth errors, beside the scenario's own
@@ -186,7 +186,12 @@ class _Worker:
         self.true = [self.jacobian(*place) for place in self.places]
         self.inverse = np.array(getattr(self.gains, self.traits.inverse))
         self.expected = self.inverse if self.traits.prior else np.zeros(6)
+        self.age = (
+            image_age(scenario) if scenario.camera.prediction == "encoder" else 0.0
+        )  # [s], that prediction bridges
         self.drive, self.driven_by = self._drive()
+        if self.age > 0.0:
+            self.driven_by += f", with prediction over the {1e3 * self.age:.3g} ms of the image's mean age"
         at_start = self.springs_over_damping(np.eye(6), self.true[0], self.true[0])
         scaled = (self.drive if self.integrates else at_start) * self.rest.unit / self.rest.unit[:, None]
         self.springs = 6 - int(np.linalg.matrix_rank(scaled))  # axes in which no error becomes a velocity
@@ -287,20 +292,45 @@ class _Worker:
 
     def slowest(self, known: Array, true: Array, inverse: Array | None = None, expected: Array | None = None) -> Array:
         """Return the smallest real part of the drift's rates [1/s], (n,), of J-hat (n, 2p, 6) and J: see `matrix`."""
-        error = self.matrix(known, true, inverse, expected)
-        if not self.integrates:
-            return self._smallest_of(self.springs_over_damping(error, known, true))
+        now = (self.matrix(known, true, inverse, expected), known, true)
+        # Per displacement since the exposure, which the law sees with J-hat in place of J: 1 - E where M_e is M.
+        since = (self.matrix(known, known - true, inverse, np.zeros(6)), known, known - true)
+        return self._smallest_of(self._learning_motion(now, since) if self.integrates else self._motion(now, since))
+
+    def _motion(self, now: tuple[Array, Array, Array], since: tuple[Array, Array, Array]) -> Array:
+        """Return the matrix whose eigenvalues are the rates without fuzzy systems, (n, 6, 6), or (n, 12, 12) with age.
+
+        Its state is the displacement and, with an age tau of the image, the displacement d since the exposure, taken
+        as d' = chi' - d/tau. `now` and `since` are what to give to `springs_over_damping`.
+        """
+        pull = self.springs_over_damping(*now)
+        if self.age == 0.0:
+            return pull
+        late = self.springs_over_damping(*since)
+        return np.block([[pull, late], [pull, late + np.eye(6) / self.age]])
+
+    def _learning_motion(self, now: tuple[Array, Array, Array], since: tuple[Array, Array, Array]) -> Array:
+        """Return the matrix as `_motion` does for fuzzy systems, with the velocity in its state, (n, 12 or 18, ...)."""
         gains, learning = self.gains, np.diag(self.learning)
-        stiffness = learning + gains.kt[:, None] * error + self.of_image(known, true)
         damping = gains.kd + self._virtual_damping
         # An axis without damping has some: what is that fast does not count, but for its sign.
         damping = np.maximum(damping, _FAST * (self.learning + gains.kt))[:, None]
+        pull, late = (learning @ self.drive @ error / damping for error, _, _ in (now, since))
+        stiff, stiff_late = (
+            (gains.kt[:, None] * each[0] + self.of_image(*each[1:])) / damping for each in (now, since)
+        )
+        zero, one = np.zeros_like(pull), np.broadcast_to(np.eye(6), pull.shape)
         # K_d chi'' + (kappa + K_t E + J-hat^T K_p J) chi' + kappa Lambda E chi = 0, with minus its rates as eigenvalues
-        motion = np.zeros((*error.shape[:-2], 12, 12))
-        motion[..., :6, 6:] = -np.eye(6)
-        motion[..., 6:, :6] = learning @ self.drive @ error / damping
-        motion[..., 6:, 6:] = stiffness / damping
-        return self._smallest_of(motion)
+        if self.age == 0.0:
+            return np.block([[zero, -one], [pull, learning / damping + stiff]])
+        forgets = one / self.age
+        return np.block(
+            [
+                [zero, -one, zero],
+                [pull, learning / damping + stiff + stiff_late, late - stiff_late / self.age],
+                [zero, -one, forgets],
+            ]
+        )
 
     def _smallest_of(self, matrix: Array) -> Array:
         """Return the smallest real part of an eigenvalue, (n,), without those of axes that have no drive."""
