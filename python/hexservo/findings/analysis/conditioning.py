@@ -15,7 +15,7 @@ from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
 
 NOISE = 0.1  # [px], for the sentences; half of what the prior of `composite` takes a camera to have
-_SHIFT, _TURN = 0.01, 0.2  # [m], [rad], of the displayed least observable motion; the rotation at most
+_TURN = 0.2  # [rad], rotation of the displayed least observable motion, at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +31,7 @@ class Sight:
         Array  # (6, 6), row k belongs to scaled_values[k]: shift [m] and rotation vector [rad], unit of length 1 m
     )
     pose_sigma: Array  # (6,) [m; rad] per px: least squares, 1 px of noise in each coordinate
+    small_shift: float  # [m], of the displayed least observable motion
 
     @property
     def condition(self) -> float:
@@ -49,13 +50,13 @@ class Sight:
 
     @property
     def hidden(self) -> Array:
-        """The least observable motion, (6,) [m; rad], with a translation of 10 mm.
+        """The least observable motion, (6,) [m; rad], with a translation of `small_shift`.
 
         With little translation it has this length with rotations scaled by `length`. It rotates by at most 0.2 rad.
         """
         motion = self.directions[-1]
         shift, turn = (float(np.linalg.norm(part)) for part in (motion[:3], motion[3:]))
-        size = _SHIFT / (shift if shift > 0.2 else 1.0)
+        size = self.small_shift / (shift if shift > 0.2 else 1.0)
         return np.asarray(motion * (size if turn * size <= _TURN else _TURN / turn))
 
 
@@ -118,6 +119,7 @@ def sight(place: str, view: View, length: float, scene: Scene) -> Sight:
         scaled_values=scaled_values,
         directions=without_sign(directions) / units,
         pose_sigma=sigma,
+        small_shift=scene.small_shift,
     )
 
 
