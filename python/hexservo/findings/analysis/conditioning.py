@@ -15,6 +15,7 @@ from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
 
 NOISE = 0.1  # [px], for the sentences; half of what the prior of `composite` takes a camera to have
+_OF_DEPTH = 0.5  # uncertainty beyond which a position is not observable
 _TURN = 0.2  # [rad], rotation of the displayed least observable motion, at most
 
 
@@ -48,6 +49,10 @@ class Sight:
         """Pose error due to 1 px of noise in the worst direction, with rotations scaled by `length` [m/px]."""
         return float(1.0 / self.scaled_values[-1]) if self.scaled_values[-1] > 0 else np.inf
 
+    def unobservable(self, noise: float) -> bool:
+        """Return whether a noise [px] makes the position uncertain by more than half of the depth, along any axis."""
+        return bool((noise * self.pose_sigma[:3] > _OF_DEPTH * self.length).any())
+
     @property
     def hidden(self) -> Array:
         """The least observable motion, (6,) [m; rad], with a translation of `small_shift`.
@@ -73,10 +78,8 @@ class Conditioning(Part):
 
     @property
     def noise(self) -> float:
-        """Noise in the sentences [px]: that of the camera if it has any, otherwise 0.1 px."""
-        scenario = self.scene.scenario
-        noisy = scenario.simulation.mode == "sampled" and scenario.camera.noise > 0
-        return scenario.camera.noise if noisy else NOISE
+        """Noise in the sentences [px]."""
+        return noise_of(self.scene.scenario)
 
 
 def analyse(scenario: Scenario) -> Conditioning:
@@ -92,6 +95,12 @@ def analyse(scenario: Scenario) -> Conditioning:
         goals=goals,
         placements=placements(scene),
     )
+
+
+def noise_of(scenario: Scenario) -> float:
+    """Return the noise [px] by which a target is judged: that of the camera if it has any, otherwise 0.1 px."""
+    noisy = scenario.simulation.mode == "sampled" and scenario.camera.noise > 0
+    return scenario.camera.noise if noisy else NOISE
 
 
 def sight(place: str, view: View, length: float, scene: Scene) -> Sight:

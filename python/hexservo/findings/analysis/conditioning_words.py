@@ -46,6 +46,8 @@ def section(found: Conditioning) -> Section:
 def _verdict(found: Conditioning, sights: list[Sight]) -> Verdict:
     if found.goals is not None and found.goals.best.largest_residual > found.scene.band:
         return "bad"
+    if any(sight.unobservable(found.noise) for sight in sights):
+        return "bad"
     uncertain = found.noise * max(sight.worst for sight in sights) > _GRIP * found.scene.stroke_length
     return "warning" if uncertain else "good"
 
