@@ -17,7 +17,7 @@ from hexservo.findings.analysis import conditioning
 from hexservo.findings.analysis.goal import TOLERANCE, Goals, _turn_rate, find_goals
 from hexservo.findings.analysis.placement import DEPTH_SHARE, image_radius, in_circle, place, placements
 from hexservo.findings.analysis.scene import Scene, View, scene_of
-from hexservo.findings.analysis.words import along, motion_in_words, number, numbers
+from hexservo.findings.analysis.words import along, displacement_words, motion_in_words, number, numbers
 from hexservo.findings.evidence import Curves
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.pixels import points_outside
@@ -87,6 +87,26 @@ def test_known_numbers_of_the_paper(paper: hs.Scenario) -> None:
     words = " ".join(found.section().sentences)
     assert "37.8, 39.6 and 2.12 mm" in words
     assert "barely distinguishable from a rotation about (-0.72, 0.69, 0.00)" in words
+
+
+@pytest.mark.parametrize(("depth", "stroke", "shift"), [(0.5, 0.017, 1e-2), (0.031, 0.017, 1e-4), (0.5, 2e-5, 1e-5)])
+def test_the_least_observable_motion_is_shown_in_the_size_of_the_machine(
+    depth: float, stroke: float, shift: float
+) -> None:
+    scene = scene_of(hs.load_scenario("paper").updated({"robot.stroke": stroke, "target.depth": depth}))
+    start = conditioning.sight("start", scene.view(scene.start), scene.depth, scene)
+    assert np.linalg.norm(start.hidden[:3]) == pytest.approx(shift)
+
+
+def test_displacements_of_machines_of_any_size_have_their_digits() -> None:
+    """Zero is written for what is small beside the depth and the other entries."""
+    large = np.array([17.2e-3, 6.9e-3, 4e-9, 1e-9, -3e-9, 0.0])
+    assert displacement_words(large, 0.5) == "(17.2, 6.9, 0) mm and a rotation of (0, 0, 0) mrad"
+    turned = np.array([-1.5e-4, -3.4e-4, 0.0, -7.2e-3, 0.0, -0.435])
+    assert displacement_words(turned, 0.5) == "(-0.15, -0.34, 0) mm and a rotation of (-7.2, 0, -435) mrad"
+    small = np.array([4e-6, -3e-6, 1e-9, 0.0, -8.7e-4, 1e-8])
+    assert displacement_words(small, 0.02) == "(0.004, -0.003, 0) mm and a rotation of (0, -0.87, 0) mrad"
+    assert displacement_words(1e-9 * np.ones(6), 0.02) == "(0, 0, 0) mm and a rotation of (0, 0, 0) mrad"
 
 
 @pytest.mark.parametrize("name", ["paper", pytest.param("task-general", marks=pytest.mark.slow)])

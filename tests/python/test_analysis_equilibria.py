@@ -257,11 +257,12 @@ def test_half_a_turn_has_no_false_equilibrium_near_but_a_goal_that_no_leg_reache
 
 
 def test_directions_as_text() -> None:
-    assert direction_words(np.array([-2.0, 0, 0, 0, 0, 0]), 0.5) == "a translation along -x"
-    assert direction_words(np.array([0, 0, 0, 0, 0, 3.0]), 0.5) == "a rotation about z"
-    mixed = direction_words(np.array([0, 0.5, 0, 1.0, 0, 0]), 0.5)
-    assert mixed == "10 mm along y with 20 mrad about x"
-    assert "(0.60, 0.80, 0.00)" in direction_words(np.array([3.0, 4.0, 0, 0, 0, 0]), 0.5)
+    assert direction_words(np.array([-2.0, 0, 0, 0, 0, 0]), 0.5, 0.01) == "a translation along -x"
+    assert direction_words(np.array([0, 0, 0, 0, 0, 3.0]), 0.5, 0.01) == "a rotation about z"
+    mixed = np.array([0, 0.5, 0, 1.0, 0, 0])
+    assert direction_words(mixed, 0.5, 0.01) == "10 mm along y with 20 mrad about x"
+    assert direction_words(mixed, 0.5, 1e-5) == "0.01 mm along y with 0.02 mrad about x"
+    assert "(0.60, 0.80, 0.00)" in direction_words(np.array([3.0, 4.0, 0, 0, 0, 0]), 0.5, 0.01)
 
 
 # ---- Where it does not apply ----------------------------------------------------------------------------------------

@@ -14,7 +14,8 @@ from hexservo.findings.analysis import workspace
 from hexservo.findings.analysis.reach import reach_of_start_and_goal
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.analysis.words import number
-from hexservo.findings.evidence import HeatMap
+from hexservo.findings.evidence import HeatMap, Table
+from hexservo.findings.wording import cell_text
 from hexservo.scenario.parameters import core_parameters
 
 SEED = 21
@@ -40,6 +41,15 @@ def test_vertical_reach_by_hand(paper: hs.Scenario, preset: str) -> None:
     up = workspace.reach(scene, np.array([0, 0, -1.0, 0, 0, 0]))
     assert down.distance == pytest.approx(height - np.sqrt((length - robot.stroke) ** 2 - rho2), rel=1e-7)
     assert up.distance == pytest.approx(np.sqrt((length + robot.stroke) ** 2 - rho2) - height, rel=1e-7)
+
+
+@pytest.mark.parametrize(("stroke", "text"), [(2e-5, "0.0200"), (1.7e-2, "17.00")])
+def test_leg_travels_have_three_digits_of_the_stroke(paper: hs.Scenario, stroke: float, text: str) -> None:
+    at_home = {"simulation.start.pose": [0.0] * 6, "robot.stroke": stroke}
+    table = workspace.analyse(paper.updated(at_home)).section().items[0]
+    assert isinstance(table, Table)
+    place = [column.title for column in table.columns].index("stroke left")
+    assert cell_text(table.rows[0][place], table.columns[place]) == text
 
 
 @pytest.mark.parametrize("preset", ["micro", "cubic"])

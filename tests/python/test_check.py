@@ -20,10 +20,16 @@ from hexservo.scenario.fitted import gains_written
 from hexservo.scenario.laws import LAWS
 from test_keys_with_effect import fingerprint
 
+LINE = (-0.06, -0.02, 0.02, 0.06)  # [m]
+
 # What packaged scenarios are built to be, or come near to: the first words of each warning.
 EXPECTED = {
     "composite-30hz": ["simulation.step: a servo period of 1 ms is coarser than a tenth of the gains'"],
     "fails-coarse-step": ["simulation.step: a servo period of 5 ms is coarser"],
+    "badly-spread-features": [
+        "target: at the start 0.1 px of noise in one image makes the platform uncertain by 2.88 m"
+    ],
+    "fails-poor-image": ["target: at the start 0.3 px of noise in one image makes the platform uncertain by 712 mm"],
     # whose gain is that of the package
     "fails-face-tracking": ["simulation.step: a servo period of 20 ms is coarser"],
     "fails-leg-limits": ["target.desired_features: the goal is out of reach: leg 5 would be"],
@@ -48,6 +54,24 @@ def test_gains_of_a_law_that_does_not_act_are_not_looked_at() -> None:
     coarse = hs.load_scenario("fails-coarse-step").updated({"camera.dropout": 1.0})
     assert [line.split(":")[0] for line in unlikely(coarse)] == ["camera.dropout", "simulation.step"]
     assert [line.split(":")[0] for line in unlikely(coarse, by_law=False)] == ["camera.dropout"]
+
+
+@pytest.mark.parametrize(("off", "warned"), [(1e-4, True), (4e-2, False)])
+def test_points_nearly_on_a_line_are_warned_of(off: float, warned: bool) -> None:
+    """Four points at x = +-60 and +-20 mm, off that line in turn to either side by a distance [m]."""
+    machine = hs.load_scenario("pi-h824-positions")
+    points = [
+        [x, sign * off, machine.robot.home_position[2] - 0.4] for x, sign in zip(LINE, (1, -1, 1, -1), strict=True)
+    ]
+    target = dict.fromkeys(("tag", "initial_features", "desired_features")) | {
+        "points": points,
+        "desired_pose": [3e-3, -2e-3, 2e-3, 0.0, 0.0, 0.0],
+    }
+    scenario = machine.updated({"target": target})
+    found = [sentence for sentence in unlikely(scenario) if sentence.startswith("target: at the start")]
+    assert bool(found) == warned
+    (section,) = hs.analyse(scenario, ["conditioning"]).sections()
+    assert (section.verdict == "bad") == warned
 
 
 def only(scenario: hs.Scenario, start: str) -> str:

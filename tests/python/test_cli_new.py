@@ -29,7 +29,7 @@ from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.yaml import load_yaml, read_yaml
 from test_docs import ROOT
 
-QUESTIONS = 29  # with joints on circles, a camera matrix in numbers, a tag, and drives that take forces
+QUESTIONS = 30  # with joints on circles, a camera matrix in numbers, a tag, and drives that take forces
 
 
 def answered(file: Path, answers: list[str], *options: str) -> Result:
@@ -145,11 +145,25 @@ def test_the_latency_is_the_answer_in_servo_periods(tmp_path: Path) -> None:
     assert 0.061 <= scenario.camera.latency < 0.061 + scenario.simulation.step
 
 
+@pytest.mark.parametrize(
+    ("travel", "given", "resolution"),
+    [("-0.02 0.02", "", 4e-9), ("-15 15", "", 1e-6), ("-15 15", "0.02", 2e-5), ("-15 15", "0", 0.0)],
+)
+def test_the_resolution_of_the_encoders_is_asked_for(
+    tmp_path: Path, travel: str, given: str, resolution: float
+) -> None:
+    """In brackets is 1 um, or 1/10000 of a travel below 10 mm."""
+    file = tmp_path / "mine.yaml"
+    done = answered(file, answers(p8=travel, p25="0.002 -0.001 0.001 0 0 0", p29=given))
+    assert done.exit_code == 0, done.output
+    assert hs.load_scenario(file).sensors.resolution == resolution
+
+
 def positions(*given: str, legs: str = "prismatic", **changed: str) -> list[str]:
     """Answers for drives that take positions: commands a second, delay, bandwidth and speed limit as they are given."""
     others = answers(p0=legs, p27="positions", **changed)
     rotary = ["", "", ""] if legs == "rotary" else []  # length, axes, rod
-    return [*others[:8], *rotary, *others[8:28], *given, *[""] * (4 - len(given)), others[28]]
+    return [*others[:8], *rotary, *others[8:28], *given, *[""] * (4 - len(given)), *others[28:]]
 
 
 @pytest.mark.parametrize("legs", ["prismatic", "rotary"])
@@ -301,7 +315,7 @@ def test_numbers_of_a_sheet_become_si_units(tmp_path: Path) -> None:
 def test_a_load_and_a_camera_beside_the_middle(tmp_path: Path) -> None:
     file = tmp_path / "loaded.yaml"
     given = answers(p8="-10 20", p10="0 0 -10", p12="12")
-    done = answered(file, [*given[:13], "0 0 -80", "0.1 0.1 0.05", "no", "300", "30 0 -20", *[""] * 14])
+    done = answered(file, [*given[:13], "0 0 -80", "0.1 0.1 0.05", "no", "300", "30 0 -20", *[""] * 15])
     assert done.exit_code == 0, done.output
     scenario = hs.load_scenario(file)
     robot = scenario.robot
@@ -375,7 +389,7 @@ def test_distortion_in_numbers(tmp_path: Path) -> None:
 def test_a_grid_as_the_target(tmp_path: Path) -> None:
     file = tmp_path / "grid.yaml"
     given = answers(p22="grid")
-    done = answered(file, [*given[:24], "3 5", "20", *[""] * 4])
+    done = answered(file, [*given[:24], "3 5", "20", *[""] * 5])
     assert done.exit_code == 0, done.output
     scenario = hs.load_scenario(file)
     seen = corners_seen(scenario).reshape(3, 5, 2)
@@ -388,7 +402,7 @@ def test_a_grid_as_the_target(tmp_path: Path) -> None:
 def test_points_one_by_one(tmp_path: Path) -> None:
     file = tmp_path / "points.yaml"
     given = answers(p22="points")
-    done = answered(file, [*given[:24], "5", "10 20 -700", *[""] * 8])
+    done = answered(file, [*given[:24], "5", "10 20 -700", *[""] * 9])
     assert done.exit_code == 0, done.output
     points = np.array(hs.load_scenario(file).target.points)
     assert points.shape == (5, 3)
@@ -516,8 +530,8 @@ def test_answers_that_do_not_fit_one_another_are_offered_once_more(tmp_path: Pat
     """Three points on a line show only after the last question."""
     file = tmp_path / "mine.yaml"
     line = ["-50 0 -660", "0 0 -660", "50 0 -660"]
-    given = [*answers(p4="160", p9="6", p22="points")[:24], "3", *line, *[""] * 3, "2"]
-    second = [*[""] * 26, "0 40 -660", *[""] * 5]
+    given = [*answers(p4="160", p9="6", p22="points")[:24], "3", *line, *[""] * 3, "2", ""]
+    second = [*[""] * 26, "0 40 -660", *[""] * 6]
     done = answered(file, [*given, *second])
     assert done.exit_code == 0, done.output
     assert "Again: target.points: expected features that determine the pose" in done.stderr

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -90,6 +92,23 @@ def test_an_integral_of_more_than_half_its_margin_is_noted() -> None:
         hs.integral_margin(hs.load_scenario("pi-h824-positions").updated({"controller.law": "composite"}))
     with pytest.raises(ValueError, match=r"expected position or position_torque .* got force"):
         hs.integral_margin(hs.load_scenario("paper"))
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"robot.stroke": 1.75e-4}, "at 4 mrad about x, which moves the platform's joints by 229% of the stroke"),
+        ({"controller.tracking.band": [1e-6] * 3 + [0.05] * 3}, "at 100 mrad about x"),
+        ({"robot.stroke": 1.75e-4, "controller.tracking.band": [2e-6] * 3 + [2e-5] * 3}, ""),
+        ({"robot.stroke": 1.75e-4, "controller.tracking.integral": 0.0}, ""),
+        ({}, ""),
+    ],
+)
+def test_a_band_that_is_wide_beside_the_stroke_is_noted(changes: dict[str, Any], words: str) -> None:
+    scenario = hs.load_scenario("pi-h824-positions").updated({"controller.tracking.integral": 2.0, **changes})
+    found = [sentence for sentence in unlikely(scenario) if sentence.startswith("controller.tracking.band: ")]
+    assert len(found) == bool(words)
+    assert words in "".join(found)
 
 
 @pytest.mark.parametrize(

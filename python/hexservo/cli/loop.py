@@ -174,7 +174,6 @@ def _document(
         **machine,
         "camera": {**machine["camera"], **times},
         "controller": controller,
-        "sensors": {"pose": "encoders", "resolution": 1e-4 if "cranks" in machine["robot"] else 1e-6},
         "simulation": {
             "mode": "sampled",
             "step": step,

@@ -28,6 +28,8 @@ _DEGREE = math.pi / 180.0
 _TURN = 360.0  # [deg], magnitude of an angle
 _APART = (0.001, 119.999)  # [deg], of two joints in a pair: at 120 they would meet those of the next ones
 _LENGTH = 0.1  # [mm], at least
+_RESOLUTION = 1e-9  # [mm] or [deg], of an encoder, at least
+_OF_TRAVEL = 1e-4  # of the travel, resolution of an encoder that is not given
 _MASS = 1e-4  # [kg], at least
 _EFFORTS = (1e-9, 1e9)  # [N] or [N m]
 _INERTIA = 1e10  # [kg m^2], at most
@@ -109,7 +111,9 @@ def _scenario_text(dialogue: Dialogue, name: str) -> str:
         "camera": camera,
         "target": target,
     }
-    document, scenario = ask_loop(dialogue, period, rotary="cranks" in robot).scenario(dialogue, machine)
+    loop = ask_loop(dialogue, period, rotary="cranks" in robot)
+    machine["sensors"] = _encoders(dialogue, robot)
+    document, scenario = loop.scenario(dialogue, machine)
     _explain(dialogue, scenario)
     return (
         f"{_TITLE}\n# Keys that are not here have their defaults, which `hexservo show` lists.\n{dump_yaml(document)}"
@@ -424,6 +428,20 @@ def _grid(values: list[float]) -> str | None:
 def _count(value: float) -> str | None:
     fits = _whole([value]) and LEAST_POINTS <= value <= MOST_POINTS
     return None if fits else f"expected a whole number of {LEAST_POINTS} to {MOST_POINTS}"
+
+
+def _encoders(dialogue: Dialogue, robot: dict[str, Any]) -> dict[str, Any]:
+    """Return the joint sensors: the resolution in brackets is at most 1/10000 of the travel, in one digit."""
+    unit, scale, most = ("deg", _DEGREE, 0.006) if "cranks" in robot else ("mm", 1e-3, 0.001)
+    travel = float(np.ptp(robot["stroke"])) / scale
+    resolution = dialogue.number(
+        f"Resolution of a leg's encoder, 0: not rounded [{unit}]",
+        min(most, float(f"{_OF_TRAVEL * travel:.1g}")),
+        _RESOLUTION,
+        travel,
+        zero=True,
+    )
+    return {"pose": "encoders", "resolution": _rounded(scale * resolution)}
 
 
 def _explain(dialogue: Dialogue, scenario: hs.Scenario) -> None:

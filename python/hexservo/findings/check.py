@@ -20,6 +20,7 @@ from hexservo.findings.check_gate import of_gate, predicts
 from hexservo.findings.check_machine import of_machine
 from hexservo.findings.check_motion import of_motion
 from hexservo.findings.check_period import of_period
+from hexservo.findings.check_points import of_points
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.blocks import Robot, preset_values
 from hexservo.scenario.fitted import auto_of, chosen_keys, fitted_keys, gains_written, idle_gains
@@ -33,7 +34,6 @@ from hexservo.scenario.presets import ROBOT_PRESETS
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number, quantity
 
-_FEWEST = 3  # points that a law can regulate
 _OFF_CENTRE = 0.15  # of the image, most that the principal point of a usual lens is off its centre
 
 _T = TypeVar("_T")
@@ -44,12 +44,12 @@ def unlikely(scenario: Scenario, *, by_law: bool = True) -> list[str]:
 
     Compares the weight at home with the force limits, home with the base, the stroke with the leg lengths, start and
     goal with stroke, joint limits and image, the start's twist with the speed limit, the principal point with the
-    image, times of the camera and of the metrics with the duration, the motions of base and target with what machines
-    do (`of_motion`), the period of frames with what finds an unknown latency, the gate with the target's motion
-    (`of_gate`), the machine with what is built (`of_machine`), and in sampled mode the servo period with the loop of
-    the gains, linearised at home with the switching term as in `linear_law`; gains with duration, servo rate, delays,
-    forces and noise (`of_gains`). Gains with which numbers of that loop overflow have a sentence that names it. Does
-    not simulate.
+    image, the points of the target with the noise (`of_points`), times of the camera and of the metrics with the
+    duration, the motions of base and target with what machines do (`of_motion`), the period of frames with what finds
+    an unknown latency, the gate with the target's motion (`of_gate`), the machine with what is built (`of_machine`),
+    and in sampled mode the servo period with the loop of the gains, linearised at home with the switching term as in
+    `linear_law`; gains with duration, servo rate, delays, forces and noise (`of_gains`). Gains with which numbers of
+    that loop overflow have a sentence that names it. Does not simulate.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def unlikely(scenario: Scenario, *, by_law: bool = True) -> list[str]:
     """
     scene = scene_of(scenario)
     sentences: list[str] = []
-    for check in (_of_legs, of_machine, _of_goal, _of_points, of_gate):
+    for check in (_of_legs, of_machine, _of_goal, of_points, of_gate):
         sentences += _evaluated(check, scene)
     for of_scenario in (_of_image, _of_principal_point, _of_duration, _of_dropout, of_motion, _of_unknown_latency):
         sentences += _evaluated(of_scenario, scenario)
@@ -153,16 +153,6 @@ def _of_goal(scene: Scene) -> Iterator[str]:
             f"metrics.band: the start is within {number(scene.band)} px of the goal "
             f"({number(scene.settled_start)} px), so that a run that stays there counts as settled without a motion; "
             "a narrower band shows whether the law gets to the goal"
-        )
-
-
-def _of_points(scene: Scene) -> Iterator[str]:
-    counted = int((scene.settings["target.weights"] > 0.0).sum())
-    if counted == _FEWEST:
-        word = "points" if counted == scene.scenario.target.count else "points that count"
-        yield (
-            f"target: {counted} {word} look alike from up to four poses: the law may settle at a pose that is not "
-            "the goal, with the same image"
         )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from hexservo import _core
 from hexservo.findings.analysis.reach import nearest_limit
 from hexservo.findings.analysis.scene import Scene
+from hexservo.findings.analysis.words import AXES
 from hexservo.findings.coupling import SHARE, settling
 from hexservo.findings.leg_feedback import OF_MARGIN, feedback_margin, integral_margin
 from hexservo.scenario.arrays import Array
@@ -33,6 +34,8 @@ _COUPLED = 0.85, 1.2  # least and most of the time to settle, over that without 
 _OF_MOTION = frozenset(  # spring, damping and adaptation of the laws whose axes an inertia couples
     ("kp", "kd", "kt", "drive", "fuzzy.adaptation", "gain", "gain_far", "gain_slope", "ki")
 )
+_WIDE = 0.1  # of the stroke: a motion of the platform's joints that an integral should not leave
+_NARROW = 0.02  # of the stroke: what it leaves with the band that is suggested
 _ROUNDING = 1.0 + 1e-9
 
 
@@ -68,6 +71,7 @@ def of_gains(scene: Scene, fastest: float | None) -> Iterator[str]:
     yield from _of_switching(scene)
     if scenario.controller.traits.output == "pose":
         yield from _of_feedback(scenario, law)
+        yield from _of_band(scene, f"controller.{law}")
         yield from _of_noise(scenario, f"controller.{law}")
 
 
@@ -96,6 +100,24 @@ def _of_feedback(scenario: Scenario, law: str) -> Iterator[str]:
             yield (
                 f"{key}: {number(own)} is more than half of {number(most)}, with which legs of this response oscillate"
             )
+
+
+def _of_band(scene: Scene, law: str) -> Iterator[str]:
+    """Find a band of another machine: up to twice the band no error makes the integral begin."""
+    if value_at(scene.scenario, f"{law}.integral") == 0.0:
+        return
+    left = 2.0 * scene.settings[f"{law}.band"]  # (6,) [m; rad]
+    levers = np.repeat([1.0, scene.platform_radius], 3)  # of the platform's joints
+    share = left * levers / scene.stroke_length
+    axis = int(share.argmax())
+    if share[axis] > _WIDE * _ROUNDING:
+        shift, turn = 0.5 * _NARROW * scene.stroke_length / levers[[0, 3]]
+        least = quantity(left[axis], "m" if axis < 3 else "rad")
+        yield (
+            f"{law}.band: the integral begins beyond twice the band, at {least} {AXES[axis]}, which moves the "
+            f"platform's joints by {share[axis]:.0%} of the stroke: legs may rest that far from where they are sent; "
+            f"a band of {quantity(shift, 'm', 1)} and {quantity(turn, 'rad', 1)} leaves {_NARROW:.0%}"
+        )
 
 
 def _of_noise(scenario: Scenario, law: str) -> Iterator[str]:

@@ -15,7 +15,8 @@ from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
 
 NOISE = 0.1  # [px], for the sentences; half of what the prior of `composite` takes a camera to have
-_SHIFT, _TURN = 0.01, 0.2  # [m], [rad], of the displayed least observable motion; the rotation at most
+_OF_DEPTH = 0.5  # uncertainty beyond which a position is not observable
+_TURN = 0.2  # [rad], rotation of the displayed least observable motion, at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +32,7 @@ class Sight:
         Array  # (6, 6), row k belongs to scaled_values[k]: shift [m] and rotation vector [rad], unit of length 1 m
     )
     pose_sigma: Array  # (6,) [m; rad] per px: least squares, 1 px of noise in each coordinate
+    small_shift: float  # [m], of the displayed least observable motion
 
     @property
     def condition(self) -> float:
@@ -47,15 +49,19 @@ class Sight:
         """Pose error due to 1 px of noise in the worst direction, with rotations scaled by `length` [m/px]."""
         return float(1.0 / self.scaled_values[-1]) if self.scaled_values[-1] > 0 else np.inf
 
+    def unobservable(self, noise: float) -> bool:
+        """Return whether a noise [px] makes the position uncertain by more than half of the depth, along any axis."""
+        return bool((noise * self.pose_sigma[:3] > _OF_DEPTH * self.length).any())
+
     @property
     def hidden(self) -> Array:
-        """The least observable motion, (6,) [m; rad], with a translation of 10 mm.
+        """The least observable motion, (6,) [m; rad], with a translation of `small_shift`.
 
         With little translation it has this length with rotations scaled by `length`. It rotates by at most 0.2 rad.
         """
         motion = self.directions[-1]
         shift, turn = (float(np.linalg.norm(part)) for part in (motion[:3], motion[3:]))
-        size = _SHIFT / (shift if shift > 0.2 else 1.0)
+        size = self.small_shift / (shift if shift > 0.2 else 1.0)
         return np.asarray(motion * (size if turn * size <= _TURN else _TURN / turn))
 
 
@@ -72,10 +78,8 @@ class Conditioning(Part):
 
     @property
     def noise(self) -> float:
-        """Noise in the sentences [px]: that of the camera if it has any, otherwise 0.1 px."""
-        scenario = self.scene.scenario
-        noisy = scenario.simulation.mode == "sampled" and scenario.camera.noise > 0
-        return scenario.camera.noise if noisy else NOISE
+        """Noise in the sentences [px]."""
+        return noise_of(self.scene.scenario)
 
 
 def analyse(scenario: Scenario) -> Conditioning:
@@ -91,6 +95,12 @@ def analyse(scenario: Scenario) -> Conditioning:
         goals=goals,
         placements=placements(scene),
     )
+
+
+def noise_of(scenario: Scenario) -> float:
+    """Return the noise [px] by which a target is judged: that of the camera if it has any, otherwise 0.1 px."""
+    noisy = scenario.simulation.mode == "sampled" and scenario.camera.noise > 0
+    return scenario.camera.noise if noisy else NOISE
 
 
 def sight(place: str, view: View, length: float, scene: Scene) -> Sight:
@@ -118,6 +128,7 @@ def sight(place: str, view: View, length: float, scene: Scene) -> Sight:
         scaled_values=scaled_values,
         directions=without_sign(directions) / units,
         pose_sigma=sigma,
+        small_shift=scene.small_shift,
     )
 
 

@@ -46,6 +46,8 @@ def section(found: Conditioning) -> Section:
 def _verdict(found: Conditioning, sights: list[Sight]) -> Verdict:
     if found.goals is not None and found.goals.best.largest_residual > found.scene.band:
         return "bad"
+    if any(sight.unobservable(found.noise) for sight in sights):
+        return "bad"
     uncertain = found.noise * max(sight.worst for sight in sights) > _GRIP * found.scene.stroke_length
     return "warning" if uncertain else "good"
 
@@ -107,15 +109,15 @@ def _goal_in_words(found: Conditioning) -> str:
             "all results are for the start."
         )
     best, nearest = found.goals.best, found.goals.nearest
+    best_words = displacement_words(best.displacement, found.start.length)
     if not found.goals.reachable and best.largest_residual > TOLERANCE:
         return (
             f"No pose with the goal image was found: the best one leaves {best.largest_residual:.3g} px, "
-            f"at {displacement_words(best.displacement)} from home."
+            f"at {best_words} from home."
         )
     return (
-        f"The goal pose is at {displacement_words(best.displacement)} from home; the nearest pose that "
-        f"leaves no coordinate more than {TOLERANCE} px further off is at "
-        f"{displacement_words(nearest.displacement)}."
+        f"The goal pose is at {best_words} from home; the nearest pose that leaves no coordinate more than "
+        f"{TOLERANCE} px further off is at {displacement_words(nearest.displacement, found.start.length)}."
     )
 
 

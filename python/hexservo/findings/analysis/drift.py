@@ -112,6 +112,7 @@ class Drift(Part):
     curves: dict[str, Array] | None = None  # (n,) smallest rate over all patterns [1/s], by place and prior
     springs: int = 0  # axes without a drive, where nothing drifts: the rates are those of the others
     leg_unit: str = "mm"  # a thousandth of the unit of leg travel
+    small_shift: float = 0.0  # [m], of motions shown as examples
 
 
 def analyse(scenario: Scenario) -> Drift:
@@ -494,4 +495,5 @@ class _Worker:
             curves,
             springs=self.springs,
             leg_unit=self.rest.units.small,
+            small_shift=self.rest.small_shift,
         )

@@ -36,7 +36,7 @@ def _sentences(found: Drift) -> list[str]:
         f"Of all sixteen signs of depth errors of {100 * chosen.size:.3g} % the worst is {worst.signs}: the "
         f"smallest eigenvalue of the loop matrix is {worst.start:.3g} at the start"
         + (f" and {worst.goal:.3g} at the goal" if found.has_goal else "")
-        + f", along {direction_words(worst.direction, found.depth)}."
+        + f", along {direction_words(worst.direction, found.depth, found.small_shift)}."
     ]
     if worst.slowest > 0.0:
         words.append(
@@ -133,7 +133,7 @@ def _items(found: Drift) -> list[Item]:
                 (Column("end of the drift, from home", "mm", ".3g"), _end_from_home),
                 (Column("image error there", "px", ".2g"), lambda p: finite(p.end_error)),
                 (Column("leg travel there", found.leg_unit, ".3g"), lambda p: finite(1e3 * p.end_travel)),
-                (Column("direction"), lambda p: direction_words(p.direction, found.depth)),
+                (Column("direction"), lambda p: direction_words(p.direction, found.depth, found.small_shift)),
             ],
             note="A negative time constant is that of growth. The end is where the pose error is zero, or, with an "
             "image spring and without fuzzy systems, the sum of the springs, by Newton's method on the core's law, "

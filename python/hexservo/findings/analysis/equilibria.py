@@ -61,6 +61,7 @@ class Equilibria(Part):
     band: float = 0.0  # [px], of settling
     barrier: tuple[Array, Array] | None = None  # the way from a false one to the goal [1], image error on it [px]
     leg_unit: str = "mm"  # a thousandth of the unit of leg travel
+    small_shift: float = 0.0  # [m], of motions shown as examples
 
     @property
     def goals(self) -> tuple[Equilibrium, ...]:
@@ -122,6 +123,7 @@ def analyse(scenario: Scenario) -> Equilibria:
         goal_stiffness,
         rest.band,
         leg_unit=rest.units.small,
+        small_shift=rest.small_shift,
     )
     return replace(result, barrier=_barrier(level, result))
 

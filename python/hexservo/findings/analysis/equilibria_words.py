@@ -11,10 +11,10 @@ from hexservo.findings.analysis.scene import WIDER
 from hexservo.findings.analysis.words import (
     along,
     direction_words,
+    displacement_parts,
     displacement_words,
     number,
     open_section,
-    vector_words,
 )
 from hexservo.findings.evidence import Column, Curves, Item, Line, Section, Table, Verdict, picked
 from hexservo.scenario.laws import laws_with
@@ -58,8 +58,9 @@ def _sentences(result: Equilibria) -> list[str]:
     if result.traps:
         trap = max(result.traps, key=lambda e: e.starts)
         text = (
-            f"A false equilibrium attracts within the stroke: at {displacement_words(trap.displacement)} from "
-            f"home the image part of {result.law} is zero with {trap.residual:.3g} px of error"
+            "A false equilibrium attracts within the stroke: at "
+            f"{displacement_words(trap.displacement, result.depth)} from home the image part of {result.law} is zero "
+            f"with {trap.residual:.3g} px of error"
         )
         if goal is not None:
             away = 1e3 * np.linalg.norm(trap.position - goal.position)
@@ -73,7 +74,7 @@ def _sentences(result: Equilibria) -> list[str]:
         )
     elif goal.stability == "undecided":
         words.append(
-            f"Whether the goal attracts is not decided: along {direction_words(goal.weakest, result.depth)} its "
+            f"Whether the goal attracts is not decided: along {_weakest_words(result, goal)} its "
             f"eigenvalue, {number(goal.eigenvalues[0].real)} 1/s^2, is zero to rounding beside the largest, "
             f"{number(goal.eigenvalues[-1].real)}."
         )
@@ -81,7 +82,7 @@ def _sentences(result: Equilibria) -> list[str]:
         words.append(
             f"The goal itself does not attract: it is {'a saddle' if goal.stability == 'saddle' else goal.stability}, "
             "and the image part drives the platform away along "
-            f"{direction_words(goal.weakest, result.depth)}, where its eigenvalue is "
+            f"{_weakest_words(result, goal)}, where its eigenvalue is "
             f"{number(goal.eigenvalues[0].real)} 1/s^2 (the largest is {number(goal.eigenvalues[-1].real)})."
         )
     elif goal.kind != "displaced goal":
@@ -107,9 +108,13 @@ def _sentences(result: Equilibria) -> list[str]:
     return words
 
 
+def _weakest_words(result: Equilibria, goal: Equilibrium) -> str:
+    return direction_words(goal.weakest, result.depth, result.small_shift)
+
+
 def _softness(result: Equilibria, goal: Equilibrium) -> str:
     text = (
-        f"At the goal the softest direction is {direction_words(goal.weakest, result.depth)}: its eigenvalue is "
+        f"At the goal the softest direction is {_weakest_words(result, goal)}: its eigenvalue is "
         f"{number(goal.eigenvalues[0].real)} 1/s^2 where the stiffest has {number(goal.eigenvalues[-1].real)}"
     )
     if goal.growth is not None and goal.growth < 0:
@@ -126,7 +131,7 @@ def _gravity_words(result: Equilibria, goal: Equilibrium | None) -> str:
     if result.gravity_stiffness is not None:
         text += f" against a stiffness of {number(result.gravity_stiffness)} N/m"
     if goal is not None and goal.kind == "displaced goal":
-        place = displacement_words(goal.displacement)
+        place = displacement_words(goal.displacement, result.depth)
         return f"{text}: the goal moves to {place} from home and keeps {goal.residual:.3g} px of error."
     return f"{text}: the goal's equilibrium vanishes before this error is reached, or leaves the region searched."
 
@@ -139,8 +144,11 @@ def _items(result: Equilibria) -> list[Item]:
             (Column("equilibrium"), lambda e: e.kind),
             (Column("stability"), lambda e: e.stability),
             (Column("image error", "px", ".3g"), lambda e: e.residual),
-            (Column("position from home", "mm"), lambda e: vector_words(1e3 * e.displacement[:3])),
-            (Column("rotation vector from home", "mrad"), lambda e: vector_words(1e3 * e.displacement[3:])),
+            (Column("position from home", "mm"), lambda e: displacement_parts(e.displacement, result.depth)[0]),
+            (
+                Column("rotation vector from home", "mrad"),
+                lambda e: displacement_parts(e.displacement, result.depth)[1],
+            ),
             (Column("largest leg travel", result.leg_unit, ".3g"), lambda e: 1e3 * float(np.abs(e.leg_travel).max())),
             (Column("reachable"), lambda e: "yes" if e.reachable else "no"),
             (Column("smallest eigenvalue", "1/s^2", ".3g"), lambda e: float(e.eigenvalues[0].real)),

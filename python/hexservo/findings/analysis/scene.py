@@ -30,6 +30,7 @@ AT_HOME = {"simulation.start.pose": [0.0] * 6, "simulation.start.twist": [0.0] *
 AT_REST = dict.fromkeys(("base_motion.kind", "base_motion.rotation.kind", "target.motion.kind"), "none")
 
 _ROUNDING = 1e-9  # of the stroke: a leg at its very end is within
+_SMALL = 0.01  # of the mean depth: a motion that is shown as an example
 _NEAR = 0.02  # of the depth of home's nearest point: no search takes a point closer to the camera than this
 
 
@@ -124,6 +125,15 @@ class Scene:
         if target.frame == "world" and moves(base):
             return "The target rests while the base moves, so that no energy belongs to the error of its image."
         return ""
+
+    @property
+    def small_shift(self) -> float:
+        """A shift [m] of the size in which motions are shown.
+
+        The power of ten nearest to 1 % of the depth, or the largest one within the stroke where that is less.
+        """
+        by_depth, by_stroke = np.log10([_SMALL * self.depth, self.stroke_length])
+        return float(10.0 ** min(np.round(by_depth), np.floor(by_stroke)))
 
     @property
     def has_points(self) -> bool:

@@ -12,13 +12,13 @@ __all__ = [
     "AXES",
     "along",
     "direction_words",
+    "displacement_parts",
     "displacement_words",
     "finite",
     "motion_in_words",
     "number",
     "numbers",
     "open_section",
-    "vector_words",
 ]
 
 AXES = ("along x", "along y", "along z", "about x", "about y", "about z")
@@ -26,6 +26,8 @@ AXES = ("along x", "along y", "along z", "about x", "about y", "about z")
 
 _STRAIGHT = 0.98  # cosine from which a direction is called that of an axis
 _LITTLE = 0.03  # of what the other part does to the image: a part that is left out
+# An entry of a displacement is written as zero where it is less than both, or than what a search resolves.
+_OF_DEPTH, _OF_LARGEST, _RESOLVED = 1e-5, 1e-3, 1e-7  # of the depth and rad; of the largest entry; as the first
 
 
 def numbers(values: Array) -> str:
@@ -46,10 +48,11 @@ def along(vector: Array, *, signed: bool = False) -> str:
     return "(" + ", ".join(f"{value + 0.0:.2f}" for value in np.where(np.abs(unit) < 0.005, 0.0, unit)) + ")"
 
 
-def direction_words(direction: Array, depth: float) -> str:
+def direction_words(direction: Array, depth: float, size: float) -> str:
     """Describe a direction (6,) [m; rad] in B, of any length, for a target at a depth [m].
 
-    A part that moves the image less than 3 % of the other one is left out.
+    A mixed one is shown by a motion with a shift of a size [m], `Scene.small_shift`. A part that moves the image
+    less than 3 % of the other one is left out.
     """
     shift, turn = np.linalg.norm(direction[:3]), np.linalg.norm(direction[3:])
     if turn * depth < _LITTLE * shift:
@@ -57,8 +60,8 @@ def direction_words(direction: Array, depth: float) -> str:
     if shift < _LITTLE * turn * depth:
         return f"a rotation about {along(direction[3:], signed=True)}"
     return (
-        f"10 mm along {along(direction[:3], signed=True)} with "
-        f"{10 * turn / shift:.3g} mrad about {along(direction[3:], signed=True)}"
+        f"{number(1e3 * size)} mm along {along(direction[:3], signed=True)} with "
+        f"{number(1e3 * size * float(turn / shift))} mrad about {along(direction[3:], signed=True)}"
     )
 
 
@@ -88,15 +91,26 @@ def motion_in_words(jacobian: Array, motion: Array) -> str:
     return f"a translation along {along(shift)} " + together.format(along(turn))
 
 
-def displacement_words(displacement: Array) -> str:
-    """Describe a displacement (6,) [m; rad]: "(1.5, 0, 20) mm and a rotation of (0, 31.2, 0) mrad"."""
-    shift, turn = (vector_words(1e3 * part) for part in (displacement[:3], displacement[3:]))
+def displacement_words(displacement: Array, length: float) -> str:
+    """Describe a displacement (6,) [m; rad]: "(1.5, 0, 20) mm and a rotation of (0, 31.2, 0) mrad".
+
+    See `displacement_parts`.
+    """
+    shift, turn = displacement_parts(displacement, length)
     return f"{shift} mm and a rotation of {turn} mrad"
 
 
-def vector_words(values: Array) -> str:
-    """Write the entries of a vector with three digits, those below 0.005 as zero."""
-    return "(" + ", ".join(number(0.0 if abs(value) < 0.005 else value) for value in values) + ")"
+def displacement_parts(displacement: Array, length: float) -> tuple[str, str]:
+    """Write the shift [mm] and the rotation vector [mrad] of a displacement (6,) [m; rad], with three digits.
+
+    Entries that are small beside a length [m], the target's depth, and beside the largest one are written as zero;
+    rotations are compared times this length.
+    """
+    sizes = np.abs(displacement) / np.repeat([length, 1.0], 3)
+    least = max(min(_OF_DEPTH, _OF_LARGEST * float(sizes.max())), _RESOLVED)
+    shown = np.where(sizes < least, 0.0, 1e3 * displacement)
+    shift, turn = ("(" + ", ".join(number(value) for value in part) + ")" for part in np.split(shown, 2))
+    return shift, turn
 
 
 def finite(value: float) -> float | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from hexservo.findings.analysis.goal import TOLERANCE
@@ -146,12 +148,13 @@ def _limits(found: Workspace) -> str:
 
 def _places_table(found: Workspace) -> Table:
     units = found.scene.units
+    travel = f".{_decimals(1e3 * found.stroke)}f"
     return Table(
         title="The legs at the start and at the goal",
         columns=(
             Column("at"),
-            *(Column(f"leg {leg}", units.small, ".2f") for leg in range(1, 7)),
-            Column("stroke left", units.small, ".2f"),
+            *(Column(f"leg {leg}", units.small, travel) for leg in range(1, 7)),
+            Column("stroke left", units.small, travel),
             *([Column(f"largest tilt at the {side}", "mrad", ".1f") for side in _SIDES] if _tilts_count(found) else []),
             Column("distance to singularity", format=".3f"),
             Column(f"largest leg {units.effort_name}", units.effort, ".3g"),
@@ -174,6 +177,11 @@ def _places_table(found: Workspace) -> Table:
         "actual, without motion.",
         page=PAGE,
     )
+
+
+def _decimals(stroke: float) -> int:
+    """Return the decimals of leg travels, two at least: they show the first three digits of the stroke [mm, mrad]."""
+    return max(2, 2 - math.floor(math.log10(stroke)))
 
 
 def _tilts_allowed(found: Workspace) -> str:
