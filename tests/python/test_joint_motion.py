@@ -62,3 +62,19 @@ def test_drives_that_predict_no_reading_that_is_left_out_do_not_count(
     log, drives, times, _ = moved
     found = JointMotion.of(log, replace(drives, finely=-drives.finely))
     np.testing.assert_array_equal(found(times), JointMotion.of(log)(times))
+
+
+def test_joints_pass_through_readings_at_uneven_ticks(moved: tuple[Log, Drives, Array, Array]) -> None:
+    """Off their places by up to 4.5 % of the period, as a log may have them."""
+    log, drives, times, joints = moved
+    count = len(log.time) - 3
+    off = PERIOD * np.random.default_rng(8).uniform(-0.045, 0.045, count)
+    off[0] = 0.0
+    at = log.time[:count] + off
+    read = CubicSpline(times, joints)(at)
+    uneven = Log(at, PERIOD, log.commands[:count], read, None)
+    found = JointMotion.of(uneven, replace(drives, finely=drives.finely[: count * len(drives.finely) // len(log.time)]))
+    np.testing.assert_allclose(found(at), read, atol=1e-12)
+    inside = slice(0, 10 * (count - 1))
+    by_spline = rms(CubicSpline(at, read)(times[inside]) - joints[inside])
+    assert rms(found(times[inside]) - joints[inside]) < 0.05 * by_spline

@@ -30,11 +30,12 @@ class JointMotion:
         if drives is None:
             return cls(log.time, log.joints, None, CubicSpline(log.time, log.joints))
         finer = len(drives.finely) // len(log.time)
+        times = log.period / finer * np.arange(len(drives.finely))
         by_drives = drives.finely - drives.finely[0]
-        left = log.joints - by_drives[::finer]
+        left = log.joints - CubicSpline(times, by_drives)(log.time)  # at its own times: ticks need not be even
         better = _left_out(log.time, left) < _left_out(log.time, log.joints)
-        by_drives, left = np.where(better, by_drives, 0.0), np.where(better, left, log.joints)
-        fine = CubicSpline(log.period / finer * np.arange(len(by_drives)), by_drives)
+        fine = CubicSpline(times, np.where(better, by_drives, 0.0))
+        left = np.where(better, left, log.joints)
         return cls(log.time, left, fine, CubicSpline(log.time, left))
 
     def __call__(self, times: Array) -> Array:
