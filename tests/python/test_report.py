@@ -1014,6 +1014,7 @@ def test_nothing_is_cut_on_paper(visit: Callable[..., Visit]) -> None:
     assert seen.problems == []
 
 
+@pytest.mark.slow
 @in_browser
 def test_no_toolbars_cover_the_charts_where_nothing_hovers(visit: Callable[..., Visit]) -> None:
     seen = visit(viewport=LAPTOP)  # as a browser that only makes a PDF: no pointer, fine or coarse
