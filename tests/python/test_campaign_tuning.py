@@ -342,6 +342,24 @@ def test_gains_that_are_worse_than_the_original_ones_are_not_good(
     assert [line.y.tolist() for line in curves.lines] == [[-3.0]]
 
 
+def test_original_gains_that_are_found_are_not_better_by_rounding(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A larger drive is faster, and the scenario has the largest one, which the scale of the range rounds."""
+    monkeypatch.setattr("hexservo.campaigns.candidates._WORST_RUNS", 10)
+    file = FILE | {
+        "scenario": BASE.updated({"controller.composite.drive": 3.9}),
+        "vary": {"uncertainty.gravity": {"uniform": [-0.05, 0.05]}},
+        "tune": FILE["tune"] | {"variables": {"controller.composite.drive": {"log": [2.0, 3.9]}}, "over": 2},
+        "runs": 60,
+    }
+    result = hs.tune(file, tmp_path / "out", generations=1, rounds=1)
+    assert result.gains == {"controller.composite.drive": 3.9}
+    assert result.before == (result.margin, *result.worst)
+    assert (result.before_is_better, result.excluded) == (False, ())
+    assert result.section().verdict == "good"
+
+
 def test_the_first_case_that_fails_joins_however_little_it_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     candidates = candidates_of(FILE)
     monkeypatch.setattr(candidates, "judged", lambda places: SimpleNamespace(margins=np.full((1, 3), 4e-4)))

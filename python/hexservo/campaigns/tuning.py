@@ -215,6 +215,8 @@ def _finished(search: _Search, plan: CampaignPlan, folder: Path, threads: int | 
     candidates = search.candidates
     candidates.renew()
     winner, original = candidates.judged(search.best[None]), candidates.original()
+    if not candidates.differing(search.best):  # a metric that differs by rounding would make them better
+        winner = original
     feasible = bool(winner.feasible[0])
     scenario = plan.scenario.updated(candidates.gains(search.best))
     write_scenario(folder / _TUNED, scenario.to_yaml())
