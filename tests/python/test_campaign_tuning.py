@@ -342,6 +342,32 @@ def test_gains_that_are_worse_than_the_original_ones_are_not_good(
     assert [line.y.tolist() for line in curves.lines] == [[-3.0]]
 
 
+def test_original_gains_that_alone_keep_the_requirements_come_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The range excludes the drive of the scenario, 4: with every slower one a run ends with a larger error."""
+    monkeypatch.setattr("hexservo.campaigns.candidates._WORST_RUNS", 10)
+    file = FILE | {
+        "vary": {"uncertainty.gravity": {"uniform": [-0.05, 0.05]}},
+        "require": ["final_error <= 4"],
+        "tune": FILE["tune"] | {"variables": {"controller.composite.drive": {"log": [1.0, 1.5]}}, "over": 2},
+    }
+    result = hs.tune(file, tmp_path / "out", generations=1, rounds=1)
+    assert (result.feasible, result.before_is_feasible, result.section().verdict) == (False, True, "bad")
+    kept = (
+        "All requirements hold with the original gains; no candidate has their controller.composite.drive, since the "
+        "ranges and groups of tune.variables exclude it. Widen these, or keep the original gains."
+    )
+    assert result.advice == kept
+    sentences = result.section().sentences
+    assert sentences[0] == f"{kept} No candidate was found with which the requirements hold."
+    assert not any("The original gains are better" in sentence for sentence in sentences)
+    assert result.section().data["before_is_feasible"]
+    neither = dataclasses.replace(result, before_is_feasible=False)
+    assert neither.advice.startswith("The requirement final_error <= 4.0 was not found to hold")
+    assert neither.section().sentences[0] == f"No gains were found with which the requirements hold. {neither.advice}"
+
+
 def test_original_gains_that_are_found_are_not_better_by_rounding(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -86,6 +86,7 @@ class TuneResult(Findings):
     margin: float  # smallest one over these
     worst: tuple[float, ...]  # largest value of each minimised metric over these, in its unit; NaN where a run has none
     before: tuple[float, ...]  # margin and metrics of the scenario's own gains, over the same variations and noise
+    before_is_feasible: bool  # whether all requirements hold with these in all of them
     before_is_better: bool  # whether these come before the gains found, by each of the metrics
     excluded: tuple[str, ...]  # keys whose original gains no candidate has: beyond their range, or unequal in a group
     gains: Mapping[str, Any]  # by dotted key
@@ -108,10 +109,12 @@ class TuneResult(Findings):
     def advice(self) -> str:
         """The requirement that was not found to hold with the others and its smallest relaxation, or what has no value.
 
-        Empty for gains that are feasible.
+        That the original gains are to be kept where all requirements hold with these; empty for gains that are feasible.
         """
         if self.feasible:
             return ""
+        if self.before_is_feasible:
+            return f"All requirements hold with the original gains{self._remedy}"
         if self.margin >= 0.0:
             lost = [name for name, value in zip(self.minimise, self.worst, strict=True) if not math.isfinite(value)]
             return f"The requirements hold, but in some variation the run has no {' and no '.join(lost)}."
@@ -187,7 +190,10 @@ class TuneResult(Findings):
             sentences.append(f"The requirements hold in all {self.variations} variations of the search; {largest}.")
         else:
             wanted = "the requirements hold" if self.margin < 0.0 else "every run has the metrics to minimise"
-            sentences.append(f"No gains were found with which {wanted}. {self.advice}")
+            if self.before_is_feasible:
+                sentences.append(f"{self.advice} No candidate was found with which {wanted}.")
+            else:
+                sentences.append(f"No gains were found with which {wanted}. {self.advice}")
         if self.held_out is not None:
             table = self.held_out.to_arrow([*self.minimise, "margin"])
             parts = [
@@ -198,7 +204,9 @@ class TuneResult(Findings):
                 f"That is biased, since the search chose by it. In variations that it never used {', '.join(parts)}, "
                 f"and {self.held_out.section().sentences[0]}"
             )
-        if self.before_is_better:
+        if self.before_is_feasible and not self.feasible:
+            pass  # the first sentence says so
+        elif self.before_is_better:
             sentences.append(f"The original gains are better over the variations of the search{self._remedy}")
         elif self.excluded:
             sentences.append(f"No candidate has the original {self._exclusion}.")
@@ -235,6 +243,7 @@ class TuneResult(Findings):
             "minimise": list(self.minimise),
             "worst": list(self.worst),
             "before": list(self.before),
+            "before_is_feasible": self.before_is_feasible,
             "before_is_better": self.before_is_better,
             "excluded": list(self.excluded),
             "gains": dict(self.gains),

@@ -242,6 +242,7 @@ def _finished(search: _Search, plan: CampaignPlan, folder: Path, threads: int | 
         margin=float(winner.smallest[0]),
         worst=tuple(map(float, winner.values[0])),
         before=(float(original.smallest[0]), *map(float, original.values[0])),
+        before_is_feasible=bool(original.feasible[0]),
         before_is_better=original.beats(winner),
         excluded=candidates.excluded(),
         gains=candidates.gains(search.best),
