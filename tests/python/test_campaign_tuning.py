@@ -20,7 +20,7 @@ from hexservo.campaigns.loop_numbers import decay_rate
 from hexservo.campaigns.plan import CampaignPlan, load_plan
 from hexservo.campaigns.requirements import margin_of
 from hexservo.campaigns.tune_result import Edge, Generation
-from hexservo.campaigns.tuning import edges_of
+from hexservo.campaigns.tuning import _Search, edges_of
 from hexservo.findings.evidence import Curves
 from hexservo.run.publish import OutputError
 from hexservo.scenario.laws import LAWS
@@ -384,6 +384,34 @@ def test_original_gains_that_are_found_are_not_better_by_rounding(
     assert result.before == (result.margin, *result.worst)
     assert (result.before_is_better, result.excluded) == (False, ())
     assert result.section().verdict == "good"
+
+
+def test_a_case_that_fails_at_an_end_of_a_front_is_not_one_of_the_gains_chosen(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hexservo.campaigns.candidates._WORST_RUNS", 10)
+    margins = {0.5: 0.2, 0.1: -0.4, 0.9: 0.3}
+    candidates: Any = SimpleNamespace(
+        plan=load_plan(FILE),
+        asked=load_plan(FILE).tune,
+        dimension=1,
+        place_of=lambda scenario: np.array([0.5]),
+        worse_cases=lambda place: ([{"gravity": place}] if place < 0.5 else [], margins[float(place[0])]),
+    )
+    search: Any = _Search(candidates, 1, 1, lambda done, count: None)
+    assert search._worse_cases() == ([], [0.2])
+    search.front = np.array([[0.1], [0.5], [0.9]])
+    assert search._worse_cases() == ([{"gravity": 0.1}], [0.2, -0.4, 0.3])
+
+    tune = FILE["tune"] | {"variables": {"controller.composite.drive": {"log": [3.0, 4.0]}}, "over": 1}
+    result = hs.tune(FILE | {"tune": tune, "runs": 60}, tmp_path / "out", generations=1, rounds=1)
+    assert (result.end_margins, result.section().verdict) == ((), "good")
+    of_front = dataclasses.replace(result, settled=False, worst_margin=0.2, end_margins=(-0.4, 0.3))
+    assert of_front.section().verdict == "good"
+    found = "the smallest margin that it found is 0.2, at the ends of the front -0.4 and 0.3"
+    assert any(found in sentence for sentence in of_front.section().sentences)
+    assert of_front.section().data["end_margins"] == (-0.4, 0.3)
+    assert dataclasses.replace(of_front, worst_margin=-0.1).section().verdict == "warning"
 
 
 def test_the_first_case_that_fails_joins_however_little_it_fails(monkeypatch: pytest.MonkeyPatch) -> None:

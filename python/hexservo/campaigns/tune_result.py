@@ -96,7 +96,8 @@ class TuneResult(Findings):
     relaxations: tuple[Relaxation, ...]  # for gains that are not feasible, the smallest change first
     front: tuple[FrontPoint, ...]  # for two metrics, ordered by the first one
     settled: bool  # whether the last search for a worse case found none
-    worst_margin: float  # smallest one that this search found
+    worst_margin: float  # smallest one that this search found with the gains
+    end_margins: tuple[float, ...]  # the same with the first and the last gains of a front; empty without one
     history: tuple[Generation, ...]  # of the search, in order
     variations: int  # of the search at its end, worst cases included
     joined: int  # worst cases among them
@@ -109,7 +110,7 @@ class TuneResult(Findings):
     def advice(self) -> str:
         """The requirement that was not found to hold with the others and its smallest relaxation, or what has no value.
 
-        That the original gains are to be kept where all requirements hold with these; empty for gains that are feasible.
+        Or that all requirements hold with the original gains. Empty for gains that are feasible.
         """
         if self.feasible:
             return ""
@@ -214,8 +215,10 @@ class TuneResult(Findings):
             where = "; ".join(edge.text for edge in self.edges)
             sentences.append(f"Gains at the edge of their range: {where}. A wider range may have better ones.")
         least = f"the smallest margin that it found is {number(self.worst_margin)}"
+        if self.end_margins:
+            least += f", at the ends of the front {' and '.join(map(number, self.end_margins))}"
         if self.settled:
-            fails = f"{least}; " if self.worst_margin < 0 else ""
+            fails = f"{least}; " if min((self.worst_margin, *self.end_margins)) < 0 else ""
             worse = f"none; {fails}{self.joined} worst cases are among the variations"
         else:
             worse = f"one, which did not join, since the rounds had ended; {least}"
@@ -254,7 +257,7 @@ class TuneResult(Findings):
             "relaxed_gains": {str(one.requirement): dict(one.gains) for one in self.relaxations},
             "relaxed_failures": {str(one.requirement): [one.failures, one.runs] for one in self.relaxations},
             "front": [[*point.values, *point.held_out, point.failures] for point in self.front],
-            **picked(self, "settled worst_margin variations joined runs seed"),
+            **picked(self, "settled worst_margin end_margins variations joined runs seed"),
             "history": [
                 [each.round, each.runs, each.margin, each.feasible, *each.lowest, each.variations]
                 for each in self.history

@@ -132,7 +132,8 @@ class _Search:
         self.front: Array = np.empty((0, candidates.dimension))
         self.history: list[Generation] = []
         self.round = 0
-        self.worst_margin = math.nan  # of the last search for a worse case
+        self.worst_margin = math.nan  # of the winner, in the last search for a worse case
+        self.end_margins: tuple[float, ...] = ()  # the same of the ends of a front
         self.settled = False  # whether the last search found none
 
     def run(self) -> None:
@@ -140,7 +141,8 @@ class _Search:
         while True:
             self.round += 1
             self._search()
-            worse, self.worst_margin = self._worse_cases()
+            worse, (self.worst_margin, *ends) = self._worse_cases()
+            self.end_margins = tuple(ends)
             self.settled = not worse
             if self.settled or self.round == self.rounds:
                 break
@@ -172,11 +174,11 @@ class _Search:
         self.front = front_of(self.candidates, known, self.generations, self._note)
         self.best = knee(self.candidates, self.front) if len(self.front) else known[0]
 
-    def _worse_cases(self) -> tuple[list[dict[str, NDArray[Any]]], float]:
-        """Search worse cases of the winner; of a front, those of its ends too."""
+    def _worse_cases(self) -> tuple[list[dict[str, NDArray[Any]]], list[float]]:
+        """Search worse cases of the winner, and of both ends of a front; return also the smallest margin of each."""
         places = [self.best, *(self.front[[0, -1]] if len(self.front) else [])]
         found = [self.candidates.worse_cases(place) for place in places]
-        return [numbers for worse, _ in found for numbers in worse], min(margin for _, margin in found)
+        return [numbers for worse, _ in found for numbers in worse], [margin for _, margin in found]
 
     def _note(self, judged: Judged, order: NDArray[np.intp]) -> None:
         """Note a generation."""
@@ -256,6 +258,7 @@ def _finished(search: _Search, plan: CampaignPlan, folder: Path, threads: int | 
         front=front,
         settled=search.settled,
         worst_margin=search.worst_margin,
+        end_margins=search.end_margins,
         history=tuple(search.history),
         variations=candidates.count,
         joined=candidates.joined,
