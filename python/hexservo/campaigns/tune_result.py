@@ -206,7 +206,7 @@ class TuneResult(Findings):
                 f"and {self.held_out.section().sentences[0]}"
             )
         if self.before_is_feasible and not self.feasible:
-            pass  # the first sentence says so
+            pass  # as the first sentence states
         elif self.before_is_better:
             sentences.append(f"The original gains are better over the variations of the search{self._remedy}")
         elif self.excluded:
