@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 import hexservo as hs
 from hexservo.campaigns.plan import CampaignPlan, campaign_names, load_plan
-from hexservo.campaigns.requirements import distance_of, margin_of, requirement_of, run_margins
+from hexservo.campaigns.requirements import distance_of, margin_of, ranks_of, requirement_of, run_margins
 from hexservo.run.publish import OutputError
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.yaml import load_yaml
@@ -201,6 +201,18 @@ def test_runs_are_ordered_from_those_that_pass_to_those_that_end_first(text: Any
     assert margins[2] >= margins[3] > margins[4] == -1.0
     assert ((margins >= 0) == [True] * 2 + [False] * 5).all()
     assert margins[6] == pytest.approx(-1.99)
+
+
+def test_runs_of_the_same_margin_are_ordered_by_what_else_they_miss() -> None:
+    """Not by the room of the bounds that they keep: the first run misses the error more, with a smaller force."""
+    requirements = [requirement_of(f"{name} <= 1") for name in ("settling_time", "final_error", "peak_leg_force")]
+    metrics = {
+        "settling_time": np.array([math.nan] * 3),
+        "final_error": np.array([10.0, 2.0, 0.5]),
+        "peak_leg_force": np.array([0.1, 0.9, 0.9]),
+    }
+    margins = run_margins(requirements, np.array(["completed"] * 3), np.ones(3), 1.0, metrics)
+    np.testing.assert_allclose(ranks_of(margins), [[-1.0, -1.9], [-1.0, -1.5], [-1.0, -1.0]])
 
 
 @given(distance=st.floats(-1e100, 1e100))

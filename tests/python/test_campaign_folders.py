@@ -59,9 +59,11 @@ def test_folders_that_are_refused(whole: Path, tmp_path: Path) -> None:
         hs.campaign(FILE, whole, runs=999)
     shutil.copytree(whole, tmp_path / "old")
     record = (tmp_path / "old" / "campaign.yaml").read_text(encoding="utf-8")
-    (tmp_path / "old" / "campaign.yaml").write_text(record.replace("format: 2", "format: 1"), encoding="utf-8")
-    with pytest.raises(hs.ResultError, match="expected a campaign of format 2"):
-        hs.load_campaign(tmp_path / "old")
+    for old, found in (("format: 1", "one of format 1"), ("", "a file that names no format")):
+        (tmp_path / "old" / "campaign.yaml").write_text(record.replace("format: 2", old), encoding="utf-8")
+        message = f"expected a campaign of format 2, got {found}; run it again in a new folder$"
+        with pytest.raises(hs.ResultError, match=message):
+            hs.load_campaign(tmp_path / "old")
 
 
 def test_a_folder_of_a_different_version_or_variant_is_refused(

@@ -20,7 +20,7 @@ import hexservo as hs
 from hexservo.campaigns.candidates import Judged, violation_of
 from hexservo.campaigns.loop_numbers import decay_rate, delay_margin
 from hexservo.campaigns.plan import load_plan
-from hexservo.campaigns.search_steps import SearchSteps
+from hexservo.campaigns.search_steps import FORMAT, SearchSteps
 from hexservo.campaigns.strategies import best_candidate, front_of, not_dominated, relax
 from hexservo.findings.analysis import camera_rate
 from hexservo.run.publish import OutputError
@@ -150,6 +150,15 @@ def test_a_folder_of_another_search_is_refused(uninterrupted: Path) -> None:
     assert fewer.held_out is not None
     assert len(fewer.held_out) == 20
     assert len(hs.load_campaign(uninterrupted / "held-out-1")) == 30
+
+
+def test_a_search_of_a_different_format_is_refused(tmp_path: Path) -> None:
+    """Before its file is read any further: it may have keys that this version does not know."""
+    (tmp_path / "tune.yaml").write_text("steps: 3\nrecord: {format: 4}\n", encoding="utf-8")
+    steps = SearchSteps(tmp_path, load_plan(SHORT), 0, 1, pytest.fail)
+    message = f"expected a search of format {FORMAT}, got one of format 4; run it again in a new folder$"
+    with pytest.raises(OutputError, match=message):
+        steps.opened().__enter__()
 
 
 def test_hidden_files_of_a_user_are_other_files(tmp_path: Path) -> None:

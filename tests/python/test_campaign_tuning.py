@@ -20,7 +20,7 @@ from hexservo.campaigns.loop_numbers import decay_rate
 from hexservo.campaigns.plan import CampaignPlan, load_plan
 from hexservo.campaigns.requirements import margin_of
 from hexservo.campaigns.tune_result import Edge, Generation
-from hexservo.campaigns.tuning import edges_of
+from hexservo.campaigns.tuning import _Search, edges_of
 from hexservo.findings.evidence import Curves
 from hexservo.run.publish import OutputError
 from hexservo.scenario.laws import LAWS
@@ -340,6 +340,78 @@ def test_gains_that_are_worse_than_the_original_ones_are_not_good(
     (curves,) = dataclasses.replace(result, history=(generation,)).sections()[1].items
     assert isinstance(curves, Curves)
     assert [line.y.tolist() for line in curves.lines] == [[-3.0]]
+
+
+def test_original_gains_that_alone_keep_the_requirements_come_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The range excludes the drive of the scenario, 4: with every slower one a run ends with a larger error."""
+    monkeypatch.setattr("hexservo.campaigns.candidates._WORST_RUNS", 10)
+    file = FILE | {
+        "vary": {"uncertainty.gravity": {"uniform": [-0.05, 0.05]}},
+        "require": ["final_error <= 4"],
+        "tune": FILE["tune"] | {"variables": {"controller.composite.drive": {"log": [1.0, 1.5]}}, "over": 2},
+    }
+    result = hs.tune(file, tmp_path / "out", generations=1, rounds=1)
+    assert (result.feasible, result.before_is_feasible, result.section().verdict) == (False, True, "bad")
+    kept = (
+        "All requirements hold with the original gains; no candidate has their controller.composite.drive, since the "
+        "ranges and groups of tune.variables exclude it. Widen these, or keep the original gains."
+    )
+    assert result.advice == kept
+    sentences = result.section().sentences
+    assert sentences[0] == f"{kept} No candidate was found with which the requirements hold."
+    assert not any("The original gains are better" in sentence for sentence in sentences)
+    assert result.section().data["before_is_feasible"]
+    neither = dataclasses.replace(result, before_is_feasible=False)
+    assert neither.advice.startswith("The requirement final_error <= 4.0 was not found to hold")
+    assert neither.section().sentences[0] == f"No gains were found with which the requirements hold. {neither.advice}"
+
+
+def test_original_gains_that_are_found_are_not_better_by_rounding(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A larger drive is faster, and the scenario has the largest one, which the scale of the range rounds."""
+    monkeypatch.setattr("hexservo.campaigns.candidates._WORST_RUNS", 10)
+    file = FILE | {
+        "scenario": BASE.updated({"controller.composite.drive": 3.9}),
+        "vary": {"uncertainty.gravity": {"uniform": [-0.05, 0.05]}},
+        "tune": FILE["tune"] | {"variables": {"controller.composite.drive": {"log": [2.0, 3.9]}}, "over": 2},
+        "runs": 60,
+    }
+    result = hs.tune(file, tmp_path / "out", generations=1, rounds=1)
+    assert result.gains == {"controller.composite.drive": 3.9}
+    assert result.before == (result.margin, *result.worst)
+    assert (result.before_is_better, result.excluded) == (False, ())
+    assert result.section().verdict == "good"
+
+
+def test_a_case_that_fails_at_an_end_of_a_front_is_not_one_of_the_gains_chosen(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hexservo.campaigns.candidates._WORST_RUNS", 10)
+    margins = {0.5: 0.2, 0.1: -0.4, 0.9: 0.3}
+    candidates: Any = SimpleNamespace(
+        plan=load_plan(FILE),
+        asked=load_plan(FILE).tune,
+        dimension=1,
+        place_of=lambda scenario: np.array([0.5]),
+        worse_cases=lambda place: ([{"gravity": place}] if place < 0.5 else [], margins[float(place[0])]),
+    )
+    search: Any = _Search(candidates, 1, 1, lambda done, count: None)
+    assert search._worse_cases() == ([], [0.2])
+    search.front = np.array([[0.1], [0.5], [0.9]])
+    assert search._worse_cases() == ([{"gravity": 0.1}], [0.2, -0.4, 0.3])
+
+    tune = FILE["tune"] | {"variables": {"controller.composite.drive": {"log": [3.0, 4.0]}}, "over": 1}
+    result = hs.tune(FILE | {"tune": tune, "runs": 60}, tmp_path / "out", generations=1, rounds=1)
+    assert (result.end_margins, result.section().verdict) == ((), "good")
+    of_front = dataclasses.replace(result, settled=False, worst_margin=0.2, end_margins=(-0.4, 0.3))
+    assert of_front.section().verdict == "good"
+    found = "the smallest margin that it found is 0.2, at the ends of the front -0.4 and 0.3"
+    assert any(found in sentence for sentence in of_front.section().sentences)
+    assert of_front.section().data["end_margins"] == (-0.4, 0.3)
+    assert dataclasses.replace(of_front, worst_margin=-0.1).section().verdict == "warning"
 
 
 def test_the_first_case_that_fails_joins_however_little_it_fails(monkeypatch: pytest.MonkeyPatch) -> None:

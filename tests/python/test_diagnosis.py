@@ -29,7 +29,15 @@ from hexservo.findings.analysis.reach import reach_of_start_and_goal
 from hexservo.findings.diagnosis import ranking
 from hexservo.findings.diagnosis.causes import CAUSES
 from hexservo.findings.diagnosis.criterion import DRIFT_TIME, Allowed, Record, judge, make_record
-from hexservo.findings.diagnosis.environment import alone_pairs, ideal, known, ordinary, ordinary_base, ordinary_devices
+from hexservo.findings.diagnosis.environment import (
+    alone_pairs,
+    ideal,
+    known,
+    ordinary,
+    ordinary_base,
+    ordinary_devices,
+    unusual,
+)
 from hexservo.findings.diagnosis.evidence import SIGNATURES
 from hexservo.findings.diagnosis.gains import slower
 from hexservo.findings.diagnosis.goal import goal_of, pixels_per_metre, seen_from_home, spread_target
@@ -38,6 +46,7 @@ from hexservo.findings.diagnosis.ranking import Study, controls, judged, make_ca
 from hexservo.findings.diagnosis.runs import Run, record_of, run_all
 from hexservo.findings.diagnosis.words import ends
 from hexservo.findings.evidence import Curves, Table
+from hexservo.scenario.fitted import machine_of, target_filter
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.laws import ALL_LAWS, LAWS
 from hexservo.scenario.parameters import core_parameters, frame_period
@@ -378,10 +387,29 @@ def test_random_failures_are_the_same_on_a_machine_of_another_size() -> None:
 
 
 def test_a_filter_of_the_target_is_compared_with_that_of_the_machine_s_size() -> None:
-    """The accelerations and speeds of the defaults are those of targets of `micro`: 64 times those of a small one."""
+    """The accelerations and speeds that it has are about those of targets of `micro`: 64 times those of a small one."""
     (small,) = of_size([draw("target_filter", KEPT_APART + 3)], 1 / 64)
     diagnosis = hs.diagnose(hs.simulate(small.scenario))
     assert [finding.cause for finding in diagnosis.named] == ["target_filter"]
+    (finding,) = diagnosis.named
+    assert finding.remedy is not None
+    assert finding.remedy.words.startswith("the filter of the target at its defaults for the target's distance")
+    fitted = target_filter(machine_of(small.scenario))
+    assert finding.remedy.changes["controller.tracking.acceleration"] == fitted["acceleration"].tolist()
+
+
+@pytest.mark.parametrize("name", ["pi-h824-positions", "rubin-camera-positions"])
+def test_a_filter_of_the_target_that_is_fitted_is_ordinary(name: str) -> None:
+    """However far the target is in radii of gyration."""
+    scenario = hs.load_scenario(name)
+    assert scenario.controller.tracking.auto.bandwidth is not None
+    keys = {f"controller.tracking.{key}" for key in ("acceleration", "speed")}
+    assert not keys & unusual(scenario)
+    points = np.asarray(scenario.target.points)
+    farther = scenario.updated({"target.points": (2.0 * points).tolist()})  # in the same pixels
+    assert farther.controller.tracking.acceleration != scenario.controller.tracking.acceleration
+    assert not keys & unusual(farther)
+    assert keys <= unusual(farther.updated({"controller.tracking": {"acceleration": 1e-3, "speed": 1e-3}}))
 
 
 def test_settings_of_a_law_that_suit_another_mass_are_ordinary() -> None:

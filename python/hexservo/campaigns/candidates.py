@@ -152,9 +152,12 @@ class Candidates:
             start += len(variable.groups)
 
     def gains(self, place: Array) -> dict[str, Any]:
-        """Return the gains of one candidate, for `Scenario.updated`."""
-        law = self.plan.scenario.controller.law
-        return changes_of_run(self.gains_of(place[None]), law)
+        """Return the gains of one candidate, for `Scenario.updated`: the scenario's where they agree to rounding."""
+        scenario, differing = self.plan.scenario, self.differing(place)
+        found = self.gains_of(place[None])
+        for key in found.keys() - differing:
+            found[key] = np.broadcast_to(np.asarray(value_at(scenario, key), dtype=float), found[key].shape)
+        return changes_of_run(found, scenario.controller.law)
 
     def place_of(self, scenario: Scenario) -> Array:
         """Return the place of a scenario's gains, moved into the ranges; of a group the mean."""
@@ -168,17 +171,23 @@ class Candidates:
             parts.append(variable.variation.share_of(np.array(means)))
         return np.concatenate(parts)
 
-    def excluded(self) -> tuple[str, ...]:
-        """Return the keys whose gains in the scenario no candidate has: beyond their range, or unequal in a group."""
-        scenario = self.plan.scenario
-        nearest = self.gains_of(self.place_of(scenario)[None])
+    def differing(self, place: Array) -> tuple[str, ...]:
+        """Return the keys whose gains of a candidate differ from those of the scenario by more than rounding.
+
+        A range's scale rounds: the end of `log` is met to some digits only.
+        """
+        gains = self.gains_of(place[None])
         found = []
         for key, variable in self.asked.variables.items():
-            own = np.asarray(value_at(scenario, key), dtype=float)
+            own = np.asarray(value_at(self.plan.scenario, key), dtype=float)
             absolute = _ROUNDING * max(map(abs, variable.variation.box))
-            if not np.allclose(nearest[key][0], own, rtol=_ROUNDING, atol=absolute):
+            if not np.allclose(gains[key][0], own, rtol=_ROUNDING, atol=absolute):
                 found.append(key)
         return tuple(found)
+
+    def excluded(self) -> tuple[str, ...]:
+        """Return the keys whose gains in the scenario no candidate has: beyond their range, or unequal in a group."""
+        return self.differing(self.place_of(self.plan.scenario))
 
     # ---- Runs -------------------------------------------------------------------------------------------------------
 

@@ -129,12 +129,12 @@ def run_margins(
 
 
 def ranks_of(margins: Array) -> Array:
-    """Return by what runs are compared, (n, 2) of margins (n, r): the smallest margin, then the sum of all.
+    """Return by what runs are compared, (n, 2) of margins (n, r): the smallest one, then the sum of the negative ones.
 
     The run with the lexicographically least pair is the worst. All runs without a value have the same smallest margin:
-    the sum orders them by what else they miss.
+    the sum orders them by what else they miss, whatever room other bounds have.
     """
-    return np.stack([margins.min(axis=1), margins.sum(axis=1)], axis=1)
+    return np.stack([margins.min(axis=1), np.minimum(margins, 0.0).sum(axis=1)], axis=1)
 
 
 def run_distances(

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexservo.campaigns.plan import CampaignPlan
-from hexservo.campaigns.store import locked, remove_drafts, require_empty, write_bytes, write_text
+from hexservo.campaigns.store import locked, other_format, remove_drafts, require_empty, write_bytes, write_text
 from hexservo.run.publish import OutputError, named
 from hexservo.scenario.reading import path_text
 from hexservo.scenario.version import VERSION
@@ -86,6 +86,8 @@ class SearchSteps:
         try:
             document = read_yaml(path)
             record: dict[str, Any] = document["record"]  # type: ignore[index,call-overload,assignment]
+            if record["format"] != FORMAT:
+                raise OutputError(other_format(path, "a search", FORMAT, record))
             there = CampaignPlan(**document)  # type: ignore[arg-type]
         except (ScenarioError, KeyError, TypeError) as error:
             raise OutputError(

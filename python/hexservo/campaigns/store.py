@@ -22,6 +22,7 @@ from hexservo.campaigns.plan import CampaignPlan
 from hexservo.run.publish import OutputError, named, synchronize
 from hexservo.run.sealed import ResultError
 from hexservo.scenario.reading import path_text
+from hexservo.scenario.rules import shown_value
 from hexservo.scenario.version import VERSION
 from hexservo.scenario.yaml import ScenarioError, dump_yaml, read_yaml
 
@@ -341,10 +342,7 @@ def read_plan(folder: str | os.PathLike[str]) -> tuple[CampaignPlan, dict[str, A
         document = read_yaml(path)
         record = document.get("record") if isinstance(document, dict) else None
         if not isinstance(record, dict) or record.get("format") != FORMAT:
-            raise ResultError(
-                f"{named(path)}: expected a campaign of format {FORMAT}, got a file without it; "
-                "use the version of hexservo that wrote it"
-            )
+            raise ResultError(other_format(path, "a campaign", FORMAT, record))
         plan = CampaignPlan(**document)  # type: ignore[arg-type]
     except ScenarioError as error:
         raise ResultError(
@@ -358,6 +356,13 @@ def read_plan(folder: str | os.PathLike[str]) -> tuple[CampaignPlan, dict[str, A
             f"{record.get('hexservo')} reads differently; undo the change, or run a changed copy in a new folder"
         )
     return plan, record
+
+
+def other_format(path: Path, what: str, expected: int, record: Any) -> str:
+    """Return the message for a file whose record has a different format than this version reads, or none."""
+    found = record.get("format") if isinstance(record, dict) else None
+    got = "a file that names no format" if found is None else f"one of format {shown_value(found)}"
+    return f"{named(path)}: expected {what} of format {expected}, got {got}; run it again in a new folder"
 
 
 def require_own(path: Path, is_ours: Callable[[bytes], bool]) -> None:

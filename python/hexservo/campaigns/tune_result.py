@@ -86,6 +86,7 @@ class TuneResult(Findings):
     margin: float  # smallest one over these
     worst: tuple[float, ...]  # largest value of each minimised metric over these, in its unit; NaN where a run has none
     before: tuple[float, ...]  # margin and metrics of the scenario's own gains, over the same variations and noise
+    before_is_feasible: bool  # whether all requirements hold with these in all of them
     before_is_better: bool  # whether these come before the gains found, by each of the metrics
     excluded: tuple[str, ...]  # keys whose original gains no candidate has: beyond their range, or unequal in a group
     gains: Mapping[str, Any]  # by dotted key
@@ -95,7 +96,8 @@ class TuneResult(Findings):
     relaxations: tuple[Relaxation, ...]  # for gains that are not feasible, the smallest change first
     front: tuple[FrontPoint, ...]  # for two metrics, ordered by the first one
     settled: bool  # whether the last search for a worse case found none
-    worst_margin: float  # smallest one that this search found
+    worst_margin: float  # smallest one that this search found with the gains
+    end_margins: tuple[float, ...]  # the same with the first and the last gains of a front; empty without one
     history: tuple[Generation, ...]  # of the search, in order
     variations: int  # of the search at its end, worst cases included
     joined: int  # worst cases among them
@@ -108,10 +110,12 @@ class TuneResult(Findings):
     def advice(self) -> str:
         """The requirement that was not found to hold with the others and its smallest relaxation, or what has no value.
 
-        Empty for gains that are feasible.
+        Or that all requirements hold with the original gains. Empty for gains that are feasible.
         """
         if self.feasible:
             return ""
+        if self.before_is_feasible:
+            return f"All requirements hold with the original gains{self._remedy}"
         if self.margin >= 0.0:
             lost = [name for name, value in zip(self.minimise, self.worst, strict=True) if not math.isfinite(value)]
             return f"The requirements hold, but in some variation the run has no {' and no '.join(lost)}."
@@ -187,7 +191,10 @@ class TuneResult(Findings):
             sentences.append(f"The requirements hold in all {self.variations} variations of the search; {largest}.")
         else:
             wanted = "the requirements hold" if self.margin < 0.0 else "every run has the metrics to minimise"
-            sentences.append(f"No gains were found with which {wanted}. {self.advice}")
+            if self.before_is_feasible:
+                sentences.append(f"{self.advice} No candidate was found with which {wanted}.")
+            else:
+                sentences.append(f"No gains were found with which {wanted}. {self.advice}")
         if self.held_out is not None:
             table = self.held_out.to_arrow([*self.minimise, "margin"])
             parts = [
@@ -198,7 +205,9 @@ class TuneResult(Findings):
                 f"That is biased, since the search chose by it. In variations that it never used {', '.join(parts)}, "
                 f"and {self.held_out.section().sentences[0]}"
             )
-        if self.before_is_better:
+        if self.before_is_feasible and not self.feasible:
+            pass  # as the first sentence states
+        elif self.before_is_better:
             sentences.append(f"The original gains are better over the variations of the search{self._remedy}")
         elif self.excluded:
             sentences.append(f"No candidate has the original {self._exclusion}.")
@@ -206,8 +215,10 @@ class TuneResult(Findings):
             where = "; ".join(edge.text for edge in self.edges)
             sentences.append(f"Gains at the edge of their range: {where}. A wider range may have better ones.")
         least = f"the smallest margin that it found is {number(self.worst_margin)}"
+        if self.end_margins:
+            least += f", at the ends of the front {' and '.join(map(number, self.end_margins))}"
         if self.settled:
-            fails = f"{least}; " if self.worst_margin < 0 else ""
+            fails = f"{least}; " if min((self.worst_margin, *self.end_margins)) < 0 else ""
             worse = f"none; {fails}{self.joined} worst cases are among the variations"
         else:
             worse = f"one, which did not join, since the rounds had ended; {least}"
@@ -235,6 +246,7 @@ class TuneResult(Findings):
             "minimise": list(self.minimise),
             "worst": list(self.worst),
             "before": list(self.before),
+            "before_is_feasible": self.before_is_feasible,
             "before_is_better": self.before_is_better,
             "excluded": list(self.excluded),
             "gains": dict(self.gains),
@@ -245,7 +257,7 @@ class TuneResult(Findings):
             "relaxed_gains": {str(one.requirement): dict(one.gains) for one in self.relaxations},
             "relaxed_failures": {str(one.requirement): [one.failures, one.runs] for one in self.relaxations},
             "front": [[*point.values, *point.held_out, point.failures] for point in self.front],
-            **picked(self, "settled worst_margin variations joined runs seed"),
+            **picked(self, "settled worst_margin end_margins variations joined runs seed"),
             "history": [
                 [each.round, each.runs, each.margin, each.feasible, *each.lowest, each.variations]
                 for each in self.history

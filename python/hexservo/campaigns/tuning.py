@@ -132,7 +132,8 @@ class _Search:
         self.front: Array = np.empty((0, candidates.dimension))
         self.history: list[Generation] = []
         self.round = 0
-        self.worst_margin = math.nan  # of the last search for a worse case
+        self.worst_margin = math.nan  # of the winner, in the last search for a worse case
+        self.end_margins: tuple[float, ...] = ()  # the same of the ends of a front
         self.settled = False  # whether the last search found none
 
     def run(self) -> None:
@@ -140,7 +141,8 @@ class _Search:
         while True:
             self.round += 1
             self._search()
-            worse, self.worst_margin = self._worse_cases()
+            worse, (self.worst_margin, *ends) = self._worse_cases()
+            self.end_margins = tuple(ends)
             self.settled = not worse
             if self.settled or self.round == self.rounds:
                 break
@@ -172,11 +174,11 @@ class _Search:
         self.front = front_of(self.candidates, known, self.generations, self._note)
         self.best = knee(self.candidates, self.front) if len(self.front) else known[0]
 
-    def _worse_cases(self) -> tuple[list[dict[str, NDArray[Any]]], float]:
-        """Search worse cases of the winner; of a front, those of its ends too."""
+    def _worse_cases(self) -> tuple[list[dict[str, NDArray[Any]]], list[float]]:
+        """Search worse cases of the winner, and of both ends of a front; return also the smallest margin of each."""
         places = [self.best, *(self.front[[0, -1]] if len(self.front) else [])]
         found = [self.candidates.worse_cases(place) for place in places]
-        return [numbers for worse, _ in found for numbers in worse], min(margin for _, margin in found)
+        return [numbers for worse, _ in found for numbers in worse], [margin for _, margin in found]
 
     def _note(self, judged: Judged, order: NDArray[np.intp]) -> None:
         """Note a generation."""
@@ -215,6 +217,8 @@ def _finished(search: _Search, plan: CampaignPlan, folder: Path, threads: int | 
     candidates = search.candidates
     candidates.renew()
     winner, original = candidates.judged(search.best[None]), candidates.original()
+    if not candidates.differing(search.best):  # a metric that differs by rounding would make them better
+        winner = original
     feasible = bool(winner.feasible[0])
     scenario = plan.scenario.updated(candidates.gains(search.best))
     write_scenario(folder / _TUNED, scenario.to_yaml())
@@ -240,6 +244,7 @@ def _finished(search: _Search, plan: CampaignPlan, folder: Path, threads: int | 
         margin=float(winner.smallest[0]),
         worst=tuple(map(float, winner.values[0])),
         before=(float(original.smallest[0]), *map(float, original.values[0])),
+        before_is_feasible=bool(original.feasible[0]),
         before_is_better=original.beats(winner),
         excluded=candidates.excluded(),
         gains=candidates.gains(search.best),
@@ -253,6 +258,7 @@ def _finished(search: _Search, plan: CampaignPlan, folder: Path, threads: int | 
         front=front,
         settled=search.settled,
         worst_margin=search.worst_margin,
+        end_margins=search.end_margins,
         history=tuple(search.history),
         variations=candidates.count,
         joined=candidates.joined,

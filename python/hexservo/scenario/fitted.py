@@ -249,8 +249,13 @@ def _computed_torque(machine: Machine, omega: Array, zeta: Array) -> dict[str, A
 
 
 def _tracking(machine: Machine, omega: Array, zeta: Array) -> dict[str, Array]:
-    far = machine.distance * np.ones_like(omega)  # zeta has no effect: the motion is critically damped
-    return {"bandwidth": (omega / (2.0 * np.pi))[..., 0], "acceleration": _AGILITY * far, "speed": _SPEED * far}
+    filtered = {key: value * np.ones_like(omega) for key, value in target_filter(machine).items()}
+    return {"bandwidth": (omega / (2.0 * np.pi))[..., 0], **filtered}  # zeta: the motion is critically damped anyway
+
+
+def target_filter(machine: Machine) -> dict[str, Array]:
+    """Return what the filter of `tracking` takes for a target's motion, by key: (6,) [m/s^2; rad/s^2], [m/s; rad/s]."""
+    return {"acceleration": _AGILITY * machine.distance, "speed": _SPEED * machine.distance}
 
 
 _FORMULAS: dict[str, Callable[[Machine, Array, Array], dict[str, Array]]] = {

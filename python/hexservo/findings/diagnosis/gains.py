@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from hexservo import _core
 from hexservo.findings.diagnosis.size import size_of
-from hexservo.scenario.fitted import idle_gains
+from hexservo.scenario.fitted import idle_gains, machine_of, target_filter
 from hexservo.scenario.keys import default_of, keys_below, value_at
 from hexservo.scenario.scenario import Scenario
 
@@ -81,7 +82,8 @@ def _raised(scenario: Scenario, names: tuple[str, ...]) -> dict[str, Any]:
 def default_gains(scenario: Scenario) -> dict[str, Any]:
     """Return the settings of a law that suit the machine's size, by dotted key: its defaults, which are for `micro`.
 
-    Each is scaled by its unit (`MachineSize.scale`). Gains that the scenario refuses are left out.
+    Each is scaled by its unit (`MachineSize.scale`); the motion that the filter of `tracking` takes a target to have is
+    the one of fitted gains, in parts of the target's distance. Gains that the scenario refuses are left out.
     """
     law, size = scenario.controller.law, size_of(scenario)
     units = {key.name: key.unit for key in _core.scenario_keys(law)}
@@ -93,6 +95,10 @@ def default_gains(scenario: Scenario) -> dict[str, Any]:
                 scaled = np.asarray(value, dtype=float) * scale
             value = scaled.item() if np.ndim(value) == 0 and scaled.size == 1 else scaled.tolist()
         found[key] = list(value) if isinstance(value, tuple) else value
+    if law == "tracking":
+        with contextlib.suppress(ValueError):  # of a machine that the core refuses
+            fitted = target_filter(machine_of(scenario))
+            found |= {f"controller.{law}.{key}": value.tolist() for key, value in fitted.items()}
     return found
 
 

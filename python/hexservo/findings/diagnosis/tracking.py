@@ -51,7 +51,7 @@ def _led(case: Case) -> Mapping[str, Any]:
 
 
 def _matched(case: Case) -> Mapping[str, Any]:
-    """Return the filter's defaults for the machine's size, with the noise that the features have."""
+    """Return what suits the target's distance and the machine's size, with the noise that the features have."""
     defaults = default_gains(case.scenario)
     usual = {key: defaults[key] for key in (f"{_BLOCK}.{name}" for name in _FILTER)}
     return {**usual, f"{_BLOCK}.noise": max(feature_noise(case.scenario.camera), _LEAST_NOISE)}
@@ -105,7 +105,7 @@ TRACKING: tuple[Cause, ...] = (
         "a filter of the target that does not suit its motion",
         _FILTER,
         _matched,
-        "the filter of the target at its defaults, and the noise that the features have",
+        "the filter of the target at its defaults for the target's distance, and the noise that the features have",
     ),
     _cause("direction_alone", "a law that follows a direction alone", ("follow",), _pose, "the pose followed"),
     _cause(
