@@ -130,6 +130,8 @@ REFUSED = [
     ("\ta: 1", "line 1, column 1: not valid YAML: a tab; YAML indents with spaces"),
     ("\ufeffb: é\r\na:\r\n\tb: 1", "line 3, column 1: not valid YAML: a tab; YAML indents with spaces"),
     ("a:\n  b: 1\n\tc: 2", "line 3, column 1: not valid YAML: a tab; YAML indents with spaces"),
+    ("- -\t- a: 1", "line 1, column 4: not valid YAML: a tab; YAML indents with spaces"),
+    ("a: &\tx", "line 1, column 5: not valid YAML: while scanning an anchor"),
     ("a: 1\nb: @\t", "line 2, column 4: not valid YAML: while scanning"),
     ("a: \0", "the character U+0000 at 3"),
     ("a: \x1b[31m", "the character U+001B"),

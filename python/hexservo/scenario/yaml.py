@@ -295,12 +295,18 @@ def _in_words(error: yaml.YAMLError, text: str) -> str:
         parts = [part for part in (error.context, error.problem) if part]
         mark = error.problem_mark or error.context_mark
         place = "" if mark is None else f"line {mark.line + 1}, column {mark.column + 1}: "
-        if mark is not None and text.removeprefix("\ufeff")[mark.index : mark.index + 1] == "\t":
+        if mark is not None and _indents_with_tab(text.removeprefix("\ufeff"), mark):
             return f"{place}not valid YAML: a tab; YAML indents with spaces"
         return f"{place}not valid YAML: {', '.join(parts)}"
     if isinstance(error, yaml.reader.ReaderError):
         return _no_character(error.character, error.position)
     return "not valid YAML: " + " ".join(str(error).split())
+
+
+def _indents_with_tab(text: str, mark: yaml.Mark) -> bool:
+    """Return whether a tab is at a mark with nothing but blanks and the dashes of lists before it on its line."""
+    before = text[mark.index - mark.column : mark.index]
+    return text[mark.index : mark.index + 1] == "\t" and not before.strip(" \t-")
 
 
 def _no_character(code: int, position: int) -> str:
