@@ -345,7 +345,7 @@ def test_a_run_ends_with_the_warnings_of_check() -> None:
 
 
 def test_the_check_of_a_run_does_not_wait_for_scipy() -> None:
-    """With a camera of its own pixels and axes too, on the platform or on the base, and with drives of positions."""
+    """Nor with a camera of other pixels and axes, on the platform or on the base, and with drives of positions."""
     script = (
         "import sys, hexservo as hs; from hexservo.findings.check import unlikely; "
         "list(unlikely(hs.load_scenario(name)) for name in sys.argv[1:]); sys.exit('scipy' in sys.modules)"

@@ -146,7 +146,7 @@ def on_pinhole(scenario: Scenario) -> Scenario:
             "camera.distortion.kannala_brandt": None,
             "target.desired_features": desired_features(scenario).tolist(),
         }
-        if scenario.camera.axes == "opencv":  # half a turn about x from those of the paper
+        if scenario.camera.axes == "opencv":  # rotated about x by pi from those of the paper
             w, x, y, z = quaternion_of(np.asarray(scenario.camera.mount.rotation))
             changes["camera.mount.rotation"] = unit_rotation_vectors(np.array([-x, w, z, -y])).tolist()
             error = np.asarray(scenario.uncertainty.mount.rotation)
