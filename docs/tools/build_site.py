@@ -28,7 +28,7 @@ import hexservo as hs
 from gallery import gallery
 from hexservo.report.explorer import ExplorerError, checked_page
 from hexservo.scenario.fields import field_names
-from hexservo.scenario.schema import bounds_of
+from hexservo.scenario.schema import bounds_of, choices_of
 from reference_pages import commands_page, headers_page
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -231,7 +231,7 @@ def keys_page() -> str:
         block = ".".join(parts[: 2 if parts[0] == "controller" else 1]) if len(parts) > 1 else "Of the scenario itself"
         shape = "x".join(str(length) for length in field.get("shape", []))
         kind = f"{field['type']} {shape}".strip() + (" or null" if field["optional"] else "")
-        unit = field["unit"] or ", ".join(f"`{choice}`" for choice in field.get("choices", []))
+        unit = field["unit"] or ", ".join(f"`{choice}`" for choice in choices_of(field))
         cells = (
             f"`{field['key']}`<br>{field['meaning']}",
             f"{kind}<br>{unit}",

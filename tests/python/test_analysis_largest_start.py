@@ -341,6 +341,7 @@ def test_a_run_that_settles_with_forces_beyond_the_limit_is_stated() -> None:
         for sentence in section.sentences
         if sentence.startswith("Forces or torques of the legs are not limited")
     )
+    assert "in the direction of the task at all sizes tried, the worst of which takes" in words
     assert f"takes a force of a leg of {peak:.3g} N, beyond the limit of 0.13 N; along 12 of 12 axes" in words
     assert "with a camera latency from 0 ms on, without prediction" in words
     assert section.data["directions"][0]["overloaded_from"] == own.overloaded_from
@@ -362,4 +363,6 @@ def test_a_task_needs_a_margin_to_the_force_limit(found: LargestStart, paper: hs
     assert more is not None
     for size, verdict in ((1.0, "warning"), (1.3, "good")):
         overloaded = replace(own, tried={**own.tried, size: True}, overloads={size: more})
-        assert replace(found, directions=(overloaded, *found.directions[1:])).section().verdict == verdict
+        section = replace(found, directions=(overloaded, *found.directions[1:])).section()
+        assert section.verdict == verdict
+        assert f"in the direction of the task from {size:.3g} times the task on (" in str(section)

@@ -587,7 +587,15 @@ def test_a_dataset_shares_no_memory_with_the_batch(smooth: hs.Scenario, log: Log
     [
         ({}, r"^variations: expected at least one key, got none$"),
         ({"uncertainty.dept": [0.1]}, r'^uncertainty.dept: .*did you mean "uncertainty.depth"\?$'),
-        ({"robot": [0.1]}, r"^robot: expected a numeric key"),
+        (
+            {"camera": [0.1]},
+            r"^camera: expected a numeric key, got a block; name a key below it, such as camera\.focal_length$",
+        ),
+        (
+            {"controller.composite": [0.1]},
+            r"expected a key of the scenario's law, hybrid, got a key of a different law$",
+        ),
+        ({"controller.hybrid.fuzzy": [0.1]}, r"such as controller\.hybrid\.fuzzy\.adaptation$"),
         (
             {"controller.law": ["hybrid", "composite"]},
             r"^controller.law: expected a numeric key.*; run one batch for each value, or hs.compare with the laws$",

@@ -192,6 +192,26 @@ def test_the_controller_takes_pixels(plain_camera: hs.Scenario) -> None:
     np.testing.assert_allclose(desired_features(scenario), pinhole.target.desired_features, rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("axes", ["paper", "opencv"])
+@pytest.mark.parametrize("rotation", [[0.0, 0.0, 0.0], [math.pi, 0.0, 0.0], [0.3, -2.0, 1.1], [-1.0, 2.5, 1.2]])
+def test_the_pinhole_looks_where_the_camera_does(plain_camera: hs.Scenario, axes: str, rotation: list[float]) -> None:
+    """The axes of the paper are x, -y and -z of OpenCV's."""
+    scenario = plain_camera.updated(
+        {
+            "camera.axes": axes,
+            "camera.principal_point": [320.0, 240.0],
+            "camera.mount": {"position": [0.1, -0.2, 0.3], "rotation": rotation},
+            "uncertainty.mount.rotation": [0.01, 0.02, 0.03],
+        }
+    )
+    pinhole = on_pinhole(scenario)
+    places = np.vstack([np.zeros(3), np.eye(3)])
+    one, two = (core_parameters(each).camera.in_mount(places) for each in (scenario, pinhole))
+    np.testing.assert_allclose(two, one, rtol=0, atol=1e-14)
+    wrong = [0.01, 0.02, 0.03] if axes == "paper" else [0.01, -0.02, -0.03]
+    np.testing.assert_allclose(pinhole.uncertainty.mount.rotation, wrong, rtol=0, atol=1e-15)
+
+
 def test_axes_of_opencv(plain_camera: hs.Scenario) -> None:
     """With C as OpenCV has it, 180 degrees about x from E, the camera is the paper's; pixels count downwards."""
     changes = {"camera.axes": "opencv", "camera.mount.rotation": [np.pi, 0.0, 0.0]}

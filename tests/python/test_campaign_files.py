@@ -280,7 +280,12 @@ REFUSED = [
         {"vary": {"uncertainty.gravty": {"uniform": [0, 1]}}},
         'vary.uncertainty.gravty: .*did you mean "uncertainty.gravity"',
     ),
-    ({"vary": {"controller.law": {"choice": [1]}}}, "vary.controller.law: expected a numeric key"),
+    (
+        {"vary": {"controller.law": {"choice": [1]}}},
+        "vary.controller.law: expected a numeric key, got one that is not numeric and cannot vary within a campaign; "
+        "run one campaign for each value, or hs.compare with the laws",
+    ),
+    ({"vary": {"robot.payload": {"choice": [1]}}}, "expected a numeric key, got a block; name a key below it"),
     (
         {"vary": {"controller.hybrid.kp": {"uniform": [0, 1]}}},
         "vary.controller.hybrid.kp: expected a key of the scenario's",

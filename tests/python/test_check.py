@@ -385,8 +385,19 @@ def test_lengths_of_a_machine_that_are_not_metres() -> None:
         "lengths are in metres: in mm these would be 131 mm and 159 mm"
     )
     assert "a radius of gyration of 77.5 mm, less than 0.5% of the platform's radius, 100 m" in only(
-        large, "robot.inertia: 0.03 kg m^2 with 5 kg"
+        large, "robot.inertia: 0.03 kg m^2 with 5 kg is"
     )
+
+
+def test_what_is_known_of_a_payload_counts_to_the_inertia(paper: hs.Scenario) -> None:
+    light = paper.updated({"robot.inertia": [1e-9] * 3, "robot.payload.mass": 0.5})
+    for known, together in (
+        (True, f"{paper.robot.mass + 0.5:.3g} kg, of platform and payload, is a radius"),
+        (False, f"{paper.robot.mass:.3g} kg is a radius"),
+    ):
+        found = unlikely(light.updated({"robot.payload.known": known}))
+        (line,) = (line for line in found if line.startswith("robot.inertia"))
+        assert together in line
 
 
 def test_a_home_that_is_not_in_metres(paper: hs.Scenario) -> None:

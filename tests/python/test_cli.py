@@ -345,11 +345,13 @@ def test_a_run_ends_with_the_warnings_of_check() -> None:
 
 
 def test_the_check_of_a_run_does_not_wait_for_scipy() -> None:
+    """Nor with a camera of other pixels and axes, on the platform or on the base, and with drives of positions."""
     script = (
         "import sys, hexservo as hs; from hexservo.findings.check import unlikely; "
-        "unlikely(hs.load_scenario('paper')); sys.exit('scipy' in sys.modules)"
+        "list(unlikely(hs.load_scenario(name)) for name in sys.argv[1:]); sys.exit('scipy' in sys.modules)"
     )
-    subprocess.run([sys.executable, "-c", script], check=True)
+    names = ["paper", "eye-to-hand", "reachy-mini"]
+    subprocess.run([sys.executable, "-c", script, *names], check=True)
 
 
 def test_quiet_prints_errors_only() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 from collections.abc import Callable
 from io import StringIO
 from pathlib import Path
@@ -148,13 +149,31 @@ def test_a_saved_result_in_place_of_a_scenario_is_recognised(command: str, saved
     )
 
 
-@pytest.mark.parametrize("command", ["run", "certify"])
-def test_of_the_folder_of_a_run_its_files_are_named(command: str, saved: Path) -> None:
+@pytest.mark.parametrize(
+    ("command", "names"),
+    [
+        (["run"], "scenario.yaml"),
+        (["check"], "scenario.yaml"),
+        (["certify"], "scenario.yaml result.nc"),
+        (["analyse"], "scenario.yaml result.nc"),
+        (["certify", "--set", "camera.noise=1"], "scenario.yaml"),  # no saved result can be changed
+        (["campaign", "--out", "new"], ""),
+    ],
+)
+def test_of_the_folder_of_a_run_the_files_that_a_command_reads_are_named(
+    command: list[str], names: str, saved: Path
+) -> None:
     folder = saved.parent
-    assert invoke(command, folder)[2] == (
-        f"Error: {folder}: cannot be read: expected a regular file, got a folder; name a file in it: "
-        f"{folder / 'scenario.yaml'} or {saved}\n"
+    files = " or ".join(str(folder / name) for name in names.split())
+    hint = f"; name a file in it: {files}" if files else ""
+    assert invoke(command[0], folder, *command[1:])[2] == (
+        f"Error: {folder}: cannot be read: expected a regular file, got a folder{hint}\n"
     )
+
+
+def test_of_the_folder_of_a_run_a_result_is_loaded_from_its_file(saved: Path) -> None:
+    with pytest.raises(hs.ResultError, match=f"got a folder; name a file in it: {re.escape(str(saved))}$"):
+        hs.load_result(saved.parent)
 
 
 @pytest.mark.parametrize("command", [*COMMANDS, "report"])

@@ -102,6 +102,24 @@ def test_a_gate_without_timeout_or_that_the_target_exceeds_is_noted(machine: hs.
     assert notes({**motion, "camera.gate": 100.0}) == []
 
 
+def test_the_gate_acts_on_what_a_custom_controller_sees(machine: hs.Scenario) -> None:
+    """So that its warning stands without the law."""
+    motion = {"target.motion.kind": "velocity", "target.motion.velocity": [0.5, 0.0, 0.0]}
+    lost = {}
+    for gate in (2.0, 100.0):
+        scenario = machine.updated({**motion, "camera.gate": gate, "camera.timeout": 0.5, "simulation.duration": 0.2})
+        seen: list[Any] = []
+
+        def hold(observed: hs.Observation, seen: list[Any] = seen) -> np.ndarray:
+            seen.append(observed.features)
+            return np.zeros(6)
+
+        hs.simulate(scenario, controller=hold)
+        warned = any(line.startswith("camera.gate: 2 px is less than") for line in unlikely(scenario, by_law=False))
+        lost[gate] = np.isnan(seen[-1]).any(), warned
+    assert lost == {2.0: (True, True), 100.0: (False, False)}
+
+
 @pytest.mark.parametrize(
     ("motion", "words"),
     [

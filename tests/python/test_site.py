@@ -177,6 +177,7 @@ def test_the_page_of_keys_has_all_of_them_with_their_meaning() -> None:
     assert dict(rows) == {entry["key"]: entry["meaning"].replace("|", "/") for entry in all_keys()}
     assert "| number<br>1 | >= 0<br><= 1 | `0.0` | sampled |" in page
     assert '| choice<br>`paper`, `opencv` | | `"paper"` | any |' in re.sub(" +", " ", page)
+    assert "| choice<br>`true`, `encoders` |" in page
     assert "`[1e-06, 1e-06, 1e-06, 1e-06, ...`" in page
 
 

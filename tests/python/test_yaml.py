@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import errno
 import math
 import os
 import pickle
@@ -129,6 +130,8 @@ REFUSED = [
     ("\ta: 1", "line 1, column 1: not valid YAML: a tab; YAML indents with spaces"),
     ("\ufeffb: é\r\na:\r\n\tb: 1", "line 3, column 1: not valid YAML: a tab; YAML indents with spaces"),
     ("a:\n  b: 1\n\tc: 2", "line 3, column 1: not valid YAML: a tab; YAML indents with spaces"),
+    ("- -\t- a: 1", "line 1, column 4: not valid YAML: a tab; YAML indents with spaces"),
+    ("a: &\tx", "line 1, column 5: not valid YAML: while scanning an anchor"),
     ("a: 1\nb: @\t", "line 2, column 4: not valid YAML: while scanning"),
     ("a: \0", "the character U+0000 at 3"),
     ("a: \x1b[31m", "the character U+001B"),
@@ -205,6 +208,20 @@ def test_a_file_without_permission(tmp_path: Path) -> None:
         pytest.skip("this user may read every file")
     with pytest.raises(ScenarioError, match="Permission denied"):
         read_yaml(path)
+
+
+def test_a_folder_that_may_not_be_searched_is_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The refusal of the system is made here, since root may search any folder."""
+    stat = os.stat
+
+    def guarded(path: str | Path, **options: bool) -> os.stat_result:
+        if Path(path).parent == tmp_path:
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+        return stat(path, **options)
+
+    monkeypatch.setattr(os, "stat", guarded)
+    with pytest.raises(ScenarioError, match=r"cannot be read: expected a regular file, got a folder$"):
+        read_yaml(tmp_path, ["scenario.yaml"])
 
 
 def test_the_error_has_one_line_per_problem_and_survives_copies() -> None:

@@ -248,7 +248,7 @@ def _unfit(scenario: Scenario, key: str, variation: Variation) -> str:
     if key in PLACED:
         return _unfit_place(scenario, variation)
     try:
-        rule = known_key(key, scenario.controller.law, scenario.target.count)
+        rule = known_key(key, scenario.controller.law, scenario.target.count, run="campaign")
     except ValueError as error:
         return str(error).partition(": ")[2]
     if variation.kind == SEED:

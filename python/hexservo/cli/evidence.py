@@ -186,10 +186,14 @@ def _scenario(run: str, settings: list[str], camera: str | None) -> hs.Scenario:
 
 
 def _loaded(run: str, settings: list[str], camera: str | None) -> hs.Scenario:
-    """Load a scenario; a log needs its machine."""
+    """Load a scenario; a log needs its machine, and a folder may have a saved result too."""
     if run.endswith(_LOGS) and Path(run).is_file():
         command = f"hexservo diagnose {shlex.quote(run)} --machine SCENARIO"
         raise hs.ScenarioError([f"this is a log; name its machine: {command}"], run)
+    if not settings and camera is None and run not in hs.scenario_names() and Path(run).is_dir():
+        from hexservo.scenario.reading import RESULT_OF_RUN, SCENARIO_OF_RUN, of_folder
+
+        raise hs.ScenarioError([f"cannot be read: {of_folder(run, [SCENARIO_OF_RUN, RESULT_OF_RUN])}"], run)
     return load(run, settings, camera)
 
 

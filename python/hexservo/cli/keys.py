@@ -18,7 +18,7 @@ def schema(
     Each has its type with its bounds, its unit or choices, and its default; --json adds what it means.
     """
     with errors_as_messages():
-        from hexservo.scenario.schema import all_keys, bounds_of
+        from hexservo.scenario.schema import all_keys, bounds_of, choices_of
 
         if as_json:
             write(json.dumps(all_keys(), indent=2) + "\n", encoding="utf-8")
@@ -28,9 +28,7 @@ def schema(
         table = Table.grid(padding=(0, 2))
         for entry in all_keys():
             kind = f"{entry['type']} {bounds_of(entry)}".strip()
-            # as a file has them: true without quotes
-            choices = (name if isinstance(name, str) else json.dumps(name) for name in entry.get("choices", ()))
-            values = " | ".join(choices) or entry["unit"]
+            values = " | ".join(choices_of(entry)) or entry["unit"]
             table.add_row(entry["key"], kind, values, _shortened(json.dumps(entry["default"])))
         show_parts(table)
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from hexservo.findings.evidence import as_data
 from hexservo.run.files import write_folder
+from hexservo.scenario.reading import RESULT_OF_RUN, SCENARIO_OF_RUN
 
 if TYPE_CHECKING:
     from hexservo.run.result import Result
@@ -32,9 +33,9 @@ def _write_files(result: Result, folder: Path) -> None:
     from hexservo.draw.plots import paper_images
     from hexservo.run.saving import result_bytes
 
-    (folder / "scenario.yaml").write_text(result.scenario.to_yaml(), encoding="utf-8")
+    (folder / SCENARIO_OF_RUN).write_text(result.scenario.to_yaml(), encoding="utf-8")
     (folder / "metrics.json").write_text(_metrics_json(result), encoding="utf-8")
-    (folder / "result.nc").write_bytes(result_bytes(result))
+    (folder / RESULT_OF_RUN).write_bytes(result_bytes(result))
     for name, content in paper_images(result).items():
         (folder / name).write_bytes(content)
 

@@ -56,7 +56,9 @@ def unlikely(scenario: Scenario, *, by_law: bool = True) -> list[str]:
     scenario
         What is checked.
     by_law
-        False: a custom controller has the platform, so that servo period and gains of the law are not looked at.
+        False: a custom controller has the platform, so that servo period and gains of the law are not looked at. The
+        gate is, since it acts on what any controller sees; an unknown latency is for legs that take positions alone,
+        which no custom controller moves.
     """
     scene = scene_of(scenario)
     sentences: list[str] = []

@@ -72,11 +72,13 @@ def _of_inertia(scene: Scene) -> Iterator[str]:
     body, radius = scene.body, scene.platform_radius
     smallest = float(np.linalg.eigvalsh(np.asarray(body.inertia)).min())
     gyration = float(np.sqrt(max(smallest, 0.0) / body.mass))
+    payload = scene.scenario.robot.payload
+    together = ", of platform and payload," if payload.known and payload.mass > 0.0 else ""
     if gyration < _COMPACT * radius:
         yield (
-            f"robot.inertia: {number(smallest)} kg m^2 with {number(body.mass)} kg is a radius of gyration of "
-            f"{quantity(gyration, 'm')}, less than {_COMPACT:.1%} of the platform's radius, {quantity(radius, 'm')}; "
-            "lengths are in metres, masses in kg, moments of inertia in kg m^2"
+            f"robot.inertia: {number(smallest)} kg m^2 with {number(body.mass)} kg{together} is a radius of gyration "
+            f"of {quantity(gyration, 'm')}, less than {_COMPACT:.1%} of the platform's radius, "
+            f"{quantity(radius, 'm')}; lengths are in metres, masses in kg, moments of inertia in kg m^2"
         )
 
 

@@ -88,7 +88,7 @@ def leg_limits(scenario: Scenario) -> tuple[LegLimit, ...]:
 
 
 def limits_of_motion(scenario: Scenario) -> tuple[LegLimit, ...]:
-    """Return those that a motion may not exceed: all but that of the efforts, which `actuators.saturation` enforces."""
+    """Return those that a motion may not exceed: all but that of the efforts, which saturation and motors enforce."""
     return tuple(limit for limit in leg_limits(scenario) if limit.kind != "force")
 
 

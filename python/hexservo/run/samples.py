@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from hexservo.run.metrics import metrics
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.pixels import desired_features, image_border
+from hexservo.scenario.rotations import quaternion_of, unit_rotation_vectors
 from hexservo.scenario.wording import shown_unit
 
 if TYPE_CHECKING:
@@ -62,8 +63,8 @@ def turns_from_home(result: Result, quaternion: Array) -> Array:
     """Return the rotation vectors in B from home to attitudes (n, 4), w x y z, as (n, 3) [rad]; at most pi long."""
     home = np.asarray(result.scenario.robot.home_attitude)
     if home.any():
-        half = 0.5 * float(np.linalg.norm(home))
-        w, v = np.cos(half), -0.5 * np.sinc(half / np.pi) * home  # of the turn back
+        back = quaternion_of(-home)
+        w, v = back[0], back[1:]
         scalar = quaternion[:, :1] * w - (quaternion[:, 1:] @ v)[:, None]
         vector = quaternion[:, :1] * v + w * quaternion[:, 1:] + np.cross(quaternion[:, 1:], v)
         quaternion = np.hstack([scalar, vector])
@@ -98,14 +99,6 @@ def along_z(gravity: Array) -> bool:
 def moment_unit(result: Result) -> tuple[str, float]:
     """Return the unit of an axis of the moments, mN m or from 1 N m on N m, and how many of it make one N m."""
     return shown_unit(max(float(np.abs(result.wrench[:, 3:]).max()), 1e-3), "N m")  # smaller ones are no axis in uN m
-
-
-def unit_rotation_vectors(unit: Array) -> Array:
-    """Return axis times angle of quaternions of length one, (..., 4), w x y z, as (..., 3) [rad]."""
-    unit = np.where(unit[..., :1] < 0, -unit, unit)
-    sine = np.sqrt((unit[..., 1:] ** 2).sum(axis=-1, keepdims=True))
-    half = np.arctan2(sine, unit[..., :1])
-    return np.asarray(2.0 * unit[..., 1:] / np.sinc(half / np.pi))
 
 
 def extreme_samples(values: Array, most: int = _MAX_POINTS) -> NDArray[np.intp]:

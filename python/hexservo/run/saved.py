@@ -14,7 +14,7 @@ from hexservo.run.result import LimitEvent, LimitKind, Outcome, Result, quantiti
 from hexservo.run.saving import EVENT_HEAD, HISTORY, problem_of_values
 from hexservo.run.sealed import ResultError, line_of, refuse_changed, sealed_blocks, shown_path
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.reading import open_regular
+from hexservo.scenario.reading import RESULT_OF_RUN, open_regular
 from hexservo.scenario.wording import quoted
 from hexservo.scenario.yaml import ScenarioError
 
@@ -44,7 +44,7 @@ def load_result(path: str | os.PathLike[str]) -> Result:
     """
     place = shown_path(path)
     try:
-        with open_regular(path) as file:
+        with open_regular(path, [RESULT_OF_RUN]) as file:
             content = b"".join(sealed_blocks(file, place, os.fstat(file.fileno()).st_size))
     except ResultError:
         raise

@@ -117,17 +117,28 @@ def fitted_variations(scenario: Scenario, arrays: Mapping[str, NDArray[Any]]) ->
     return {**others, **{head + key: found[key] for key in left}}
 
 
-def known_key(key: object, law: str, points: int = 4) -> NumericKey:
+def known_key(key: object, law: str, points: int = 4, *, run: str = "batch") -> NumericKey:
+    """Return the rule of a key that may vary within a run of many scenarios, a batch or a campaign.
+
+    Raises
+    ------
+    ValueError
+        "key: expected a numeric key, got ...", for any other key, a block, or a key of another law.
+    """
     known = numeric_keys(law, points)
     if isinstance(key, str) and key in known:
         return known[key]
-    if any(key in numeric_keys(other) for other in ALL_LAWS):
+    below = [name for name in known if name.startswith(f"{key}.")]
+    others = {name for other in ALL_LAWS for name in numeric_keys(other)}
+    if not below and any(f"{name}.".startswith(f"{key}.") for name in others):
         raise ValueError(f"{key}: expected a key of the scenario's law, {law}, got a key of a different law")
+    if below:
+        raise ValueError(f"{key}: expected a numeric key, got a block; name a key below it, such as {below[0]}")
     if isinstance(key, str) and key in all_paths(Blocks):
-        hint = "; run one batch for each value" + (", or hs.compare with the laws" if key == "controller.law" else "")
+        hint = f"; run one {run} for each value" + (", or hs.compare with the laws" if key == "controller.law" else "")
     else:
         hint = did_you_mean(key, known)
-    raise ValueError(f"{key}: expected a numeric key, got one that is not numeric and cannot vary within a batch{hint}")
+    raise ValueError(f"{key}: expected a numeric key, got one that is not numeric and cannot vary within a {run}{hint}")
 
 
 def _array(key: str, rule: NumericKey, given: ArrayLike) -> NDArray[Any]:

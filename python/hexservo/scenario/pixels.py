@@ -10,6 +10,7 @@ import numpy as np
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.parameters import core_parameters
+from hexservo.scenario.rotations import quaternion_of, unit_rotation_vectors
 
 if TYPE_CHECKING:
     from hexservo.scenario.blocks import Blocks, Camera
@@ -133,27 +134,23 @@ def on_pinhole(scenario: Scenario) -> Scenario:
     """
     if not has_pixels(scenario.camera) and not has_camera_wrong(scenario):
         return scenario
-    from scipy.spatial.transform import Rotation  # here, since half of the time of a first run would be its import
-
-    settings = core_parameters(scenario)
-    camera = settings.camera
     changes: dict[str, Any] = dict(zip(WRONG_CAMERA, (0.0, [0.0, 0.0]), strict=True))
     if has_pixels(scenario.camera):
-        centre, *axes = camera.in_mount(np.vstack([np.zeros(3), np.eye(3)]))
-        error = np.asarray(scenario.uncertainty.mount.rotation)
-        turned = scenario.camera.axes == "opencv"
         changes |= {
             "camera.focal_length": None,
             "camera.pixel_scale": None,
-            "camera.focal_pixels": camera.focal_pixels,
+            "camera.focal_pixels": core_parameters(scenario).camera.focal_pixels,
             "camera.principal_point": None,
             "camera.axes": "paper",
             "camera.distortion.brown_conrady": None,
             "camera.distortion.kannala_brandt": None,
-            "camera.mount.rotation": Rotation.from_matrix(np.column_stack(axes) - centre[:, None]).as_rotvec().tolist(),
-            "uncertainty.mount.rotation": (error * [1.0, -1.0, -1.0] if turned else error).tolist(),
             "target.desired_features": desired_features(scenario).tolist(),
         }
+        if scenario.camera.axes == "opencv":  # rotated about x by pi from those of the paper
+            w, x, y, z = quaternion_of(np.asarray(scenario.camera.mount.rotation))
+            changes["camera.mount.rotation"] = unit_rotation_vectors(np.array([-x, w, z, -y])).tolist()
+            error = np.asarray(scenario.uncertainty.mount.rotation)
+            changes["uncertainty.mount.rotation"] = (error * [1.0, -1.0, -1.0]).tolist()
         if scenario.target.initial_features is not None:
             changes["target.initial_features"] = to_features(scenario, scenario.target.initial_features).tolist()
     return scenario.updated(changes)

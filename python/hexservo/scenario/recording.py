@@ -12,6 +12,7 @@ import numpy as np
 
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.reading import path_text
+from hexservo.scenario.rotations import quaternion_of
 from hexservo.scenario.yaml import ScenarioError, read_text
 
 MAX_SAMPLES = 10_000
@@ -55,7 +56,7 @@ def read_base_motion(path: str | os.PathLike[str]) -> Recording:
     if table.extra is _QUATERNION:
         attitudes = table.rows[:, 3:].tolist()
     elif table.extra is _ROTATION:
-        attitudes = [_exponential(row).tolist() for row in table.rows[:, 3:]]
+        attitudes = [quaternion_of(row).tolist() for row in table.rows[:, 3:]]
     elif table.extra is _RATE:
         attitudes = _integrated(table.rows[:, 3:], table.period).tolist()
     return Recording(table.period, table.rows[:, :3].tolist(), attitudes)
@@ -90,12 +91,6 @@ def kinematic(
     return (force + np.asarray(gravity, dtype=float)).tolist()  # type: ignore[no-any-return]
 
 
-def _exponential(vector: Array) -> Array:
-    """Return the quaternion (w, x, y, z) of a rotation vector [rad]."""
-    angle = float(np.linalg.norm(vector))
-    return np.concatenate([[math.cos(angle / 2)], 0.5 * float(np.sinc(angle / 2 / math.pi)) * vector])
-
-
 def _integrated(rates: Array, period: float) -> Array:
     """Return quaternions (n, 4) of B in W from rates in B (n, 3) [rad/s]: the product of the turns between samples.
 
@@ -111,7 +106,7 @@ def _integrated(rates: Array, period: float) -> Array:
     attitudes = [np.array([1.0, 0.0, 0.0, 0.0])]
     for turn in turns:
         w, v = attitudes[-1][0], attitudes[-1][1:]
-        e = _exponential(turn)
+        e = quaternion_of(turn)
         now = np.concatenate([[w * e[0] - v @ e[1:]], w * e[1:] + e[0] * v + np.cross(v, e[1:])])
         attitudes.append(now / np.linalg.norm(now))
     return np.array(attitudes)

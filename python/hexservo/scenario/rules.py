@@ -183,10 +183,13 @@ class PointsRule(ArrayRule):
     def accept(self, value: Any) -> float | Vector | Matrix | None:
         if not isinstance(value, list):
             return super().accept(value)
-        if not self.rows and value and all(isinstance(item, list) for item in value):
+        if not self.rows and any(value) and all(isinstance(item, list) for item in value):
+            one = f"{self.element.expected}, or " if self.or_number else ""
             order = "x1, y1, x2, y2, ... of" if self.each == 2 else "of a number for each of"
-            got = f"{len(value)} lists of {len(value[0])}; write their numbers in one list"
-            raise refusal(((), f"expected a flat list {order} {_POINTS} points, got {got}"))
+            each = len(value[0]) if len({len(item) for item in value}) == 1 else "several lengths"
+            got = f"{len(value)} list{'s' if len(value) > 1 else ''} of {each}"
+            text = f"expected {one}a flat list {order} {_POINTS} points, got {got}; write their numbers in one list"
+            raise refusal(((), text))
         points, rest = divmod(len(value), 1 if self.rows else self.each)
         if rest or not LEAST_POINTS <= points <= MOST_POINTS:
             raise refusal(((), f"expected {self.expected}, got a list of {len(value)}"))

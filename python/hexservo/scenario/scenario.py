@@ -24,6 +24,7 @@ from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.placing import problem_of_recording, read_motion, read_target
 from hexservo.scenario.plain import plain, put
 from hexservo.scenario.problems import in_words, listing
+from hexservo.scenario.reading import SCENARIO_OF_RUN
 from hexservo.scenario.rules import did_you_mean, shown_value
 from hexservo.scenario.tag import require_counts_elsewhere
 from hexservo.scenario.wording import wrong_type
@@ -257,7 +258,8 @@ def read_document(name_or_path: str | os.PathLike[str]) -> Document:
             nearest = did_you_mean(stem.rpartition("/")[2], names)
             raise ScenarioError(f'"{name_or_path}": {what}{nearest or "; `hexservo scenarios` lists what is packaged"}')
     path = os.fsdecode(name_or_path)
-    document, folder = read_yaml(name_or_path), Path(path).parent  # to which paths of recordings are relative
+    document = read_yaml(name_or_path, [SCENARIO_OF_RUN])
+    folder = Path(path).parent  # to which paths of recordings are relative
     return Document(_in_folder(_in_folder(document, folder, "base_motion"), folder, "target", "motion"), path)
 
 

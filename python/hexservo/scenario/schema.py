@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator
 from typing import Any, get_args
@@ -47,6 +48,11 @@ def bounds_of(entry: dict[str, Any]) -> str:
         for name, sign in signs
         if entry.get(name) is not None
     )
+
+
+def choices_of(entry: dict[str, Any]) -> list[str]:
+    """Return the choices of an entry of `all_keys` as a file has them: true without quotes; none where it has none."""
+    return [choice if isinstance(choice, str) else json.dumps(choice) for choice in entry.get("choices", ())]
 
 
 def schema() -> list[dict[str, Any]]:

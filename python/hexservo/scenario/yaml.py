@@ -173,8 +173,8 @@ def load_yaml(text: str, source: str | None = None) -> Plain:
         raise ScenarioError("not valid YAML: an escape that stands for no character", source) from None
 
 
-def read_yaml(path: str | os.PathLike[str]) -> Plain:
-    """Return the value of the YAML document in a file, read as UTF-8.
+def read_yaml(path: str | os.PathLike[str], in_folder: Sequence[str] = ()) -> Plain:
+    """Return the value of the YAML document in a file, read as UTF-8; `in_folder` as for `open_regular`.
 
     Raises
     ------
@@ -183,12 +183,12 @@ def read_yaml(path: str | os.PathLike[str]) -> Plain:
         or is not UTF-8; and as `load_yaml`.
     """
     source = path_text("path", path)
-    text = read_text(path, "YAML")
+    text = read_text(path, "YAML", in_folder)
     return load_yaml(text, source)
 
 
-def read_text(path: str | os.PathLike[str], kind: str) -> str:
-    """Return the text of a file, UTF-8; `kind` is what its errors call it.
+def read_text(path: str | os.PathLike[str], kind: str, in_folder: Sequence[str] = ()) -> str:
+    """Return the text of a file, UTF-8; `kind` is what its errors call it, `in_folder` as for `open_regular`.
 
     Raises
     ------
@@ -197,7 +197,7 @@ def read_text(path: str | os.PathLike[str], kind: str) -> str:
     """
     source = path_text("path", path)
     try:
-        content = _content(path)
+        content = _content(path, in_folder)
     except OSError as error:
         raise ScenarioError(f"cannot be read: {error.strerror or error}", source) from None
     except ValueError as error:  # no regular file, or a path with a NUL in it
@@ -230,9 +230,9 @@ def dump_yaml(value: Mapping[str, Any]) -> str:
     return yaml.dump(value, Dumper=_Dumper, sort_keys=False, allow_unicode=True, default_flow_style=False, width=110)
 
 
-def _content(path: str | os.PathLike[str]) -> bytes:
+def _content(path: str | os.PathLike[str], in_folder: Sequence[str]) -> bytes:
     """Return the bytes of a regular file, at most MAX_BYTES + 1."""
-    with open_regular(path) as file:
+    with open_regular(path, in_folder) as file:
         return file.read(MAX_BYTES + 1) or b""  # None: a file of the system that has nothing now
 
 
@@ -295,12 +295,18 @@ def _in_words(error: yaml.YAMLError, text: str) -> str:
         parts = [part for part in (error.context, error.problem) if part]
         mark = error.problem_mark or error.context_mark
         place = "" if mark is None else f"line {mark.line + 1}, column {mark.column + 1}: "
-        if mark is not None and text.removeprefix("\ufeff")[mark.index : mark.index + 1] == "\t":
+        if mark is not None and _indents_with_tab(text.removeprefix("\ufeff"), mark):
             return f"{place}not valid YAML: a tab; YAML indents with spaces"
         return f"{place}not valid YAML: {', '.join(parts)}"
     if isinstance(error, yaml.reader.ReaderError):
         return _no_character(error.character, error.position)
     return "not valid YAML: " + " ".join(str(error).split())
+
+
+def _indents_with_tab(text: str, mark: yaml.Mark) -> bool:
+    """Return whether a tab is at a mark with nothing but blanks and the dashes of lists before it on its line."""
+    before = text[mark.index - mark.column : mark.index]
+    return text[mark.index : mark.index + 1] == "\t" and not before.strip(" \t-")
 
 
 def _no_character(code: int, position: int) -> str:

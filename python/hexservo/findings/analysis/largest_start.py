@@ -145,7 +145,8 @@ def border(tried: Mapping[float, bool]) -> tuple[float, float | None]:
 def first_overload(overloads: Mapping[float, LimitUse], settles_to: float) -> float | None:
     """Return the smallest size or time with forces beyond the legs' limit, up to the border; None where there is none.
 
-    The runs do not limit forces unless `actuators.saturation` does, so that such a run settles all the same.
+    The runs do not limit forces unless `actuators.saturation` or motors (`position_torque`) do, so that such a run
+    settles all the same.
     """
     return min((size for size in overloads if size <= settles_to), default=None)
 

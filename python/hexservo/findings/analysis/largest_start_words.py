@@ -111,7 +111,7 @@ def _others(found: LargestStart) -> str:
 
 
 def _force_words(found: LargestStart) -> list[str]:
-    """Return what settles with forces that the legs do not have: the runs limit them with `actuators.saturation` only.
+    """Return what settles with forces that the legs do not have, which saturation or motors alone limit in the runs.
 
     Larger sizes than the smallest that fails are left out.
     """
@@ -119,10 +119,9 @@ def _force_words(found: LargestStart) -> list[str]:
     if own is not None and (size := own.overloaded_from) is not None:
         uses = [use for each, use in own.overloads.items() if each <= own.settles_to]
         most = max(uses, key=lambda use: use.peak)
-        places.append(
-            f"in the direction of the task from {size:.3g} times the task on ({_amount(own, size)}), "
-            f"the worst of which {most.excess}"
-        )
+        every = all(each in own.overloads for each in own.tried if each <= own.settles_to)
+        sizes = "at all sizes tried" if every else f"from {size:.3g} times the task on ({_amount(own, size)})"
+        places.append(f"in the direction of the task {sizes}, the worst of which {most.excess}")
     others = [d for d in found.directions if d.name != "own"]
     if count := sum(d.overloaded_from is not None for d in others):
         places.append(f"along {count} of {len(others)} axes and rotations")

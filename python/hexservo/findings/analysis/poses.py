@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hexservo.run.samples import unit_rotation_vectors
 from hexservo.scenario.arrays import Array, Mask
+from hexservo.scenario.rotations import unit_rotation_vectors
 
 
 @dataclass(frozen=True, eq=False)
