@@ -33,7 +33,7 @@ from hexservo.report.charts import curves, needed
 from hexservo.report.documentation import is_page, page_html
 from hexservo.report.evidence_html import page_text, section_html
 from hexservo.report.figures import figures
-from hexservo.report.html import TITLE, Html, element, json_script
+from hexservo.report.html import TITLE, Html, element, json_script, paragraphs, sentence
 from hexservo.report.page import page
 from hexservo.report.scene import scene
 from hexservo.run.publish import OutputError
@@ -146,7 +146,7 @@ def test_the_order_and_the_words(text: str) -> None:
         "Explanations",
     ]  # fmt: skip
     words = words_of(text)
-    for sentence in (
+    for part in (
         "The run completed: 5 s in continuous mode, controlled by the law hybrid.",
         "All features are within 2 px of their goals from 0.353 s on.",
         "The largest feature error at the end is 0.07972 px; from 1 s on their RMS is 0.05187 px.",
@@ -158,7 +158,7 @@ def test_the_order_and_the_words(text: str) -> None:
         "Explained in docs/model.md",
         "plotly.js 4" if "plotly.js v4" in text else "plotly.js",
     ):
-        assert sentence in words, sentence
+        assert part in words, part
 
 
 def test_results_that_nothing_judges_have_no_badge() -> None:
@@ -516,6 +516,12 @@ def test_the_summary_has_the_warnings_of_check(monkeypatch: pytest.MonkeyPatch) 
     for run, keys in ((hs.simulate(coarse), ["robot.force_limit", "simulation.step"]), (still, ["robot.force_limit"])):
         (listed,) = re.findall(r'<ul class="verdicts">(.*?)</ul>', page(run), re.DOTALL)
         assert re.findall(r'<a href="#scenario">Scenario</a>: ([a-z_.]+): ', listed) == keys
+
+
+def test_what_a_sentence_has_between_backticks_is_code() -> None:
+    assert sentence("a < b: `hexservo run <file>` & go") == "a &lt; b: <code>hexservo run &lt;file&gt;</code> &amp; go"
+    assert sentence("one ` alone") == "one ` alone"
+    assert paragraphs("`a.b` is left") == "<p><code>a.b</code> is left</p>"
 
 
 def test_a_limit_that_is_far_exceeded_is_a_multiple(result: hs.Result) -> None:

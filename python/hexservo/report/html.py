@@ -32,7 +32,15 @@ def element(tag: str, *children: str, **attributes: str | bool) -> Html:
 
 def paragraphs(*texts: str) -> Html:
     """Return one paragraph for each text that is not empty."""
-    return Html("".join(element("p", text) for text in texts if text))
+    return Html("".join(element("p", sentence(text)) for text in texts if text))
+
+
+def sentence(text: str) -> Html:
+    """Return words of a finding; what stands between backticks is code."""
+    parts = text.split("`")
+    if len(parts) % 2 == 0:  # one without its other half
+        return Html(escape(text, quote=False))
+    return Html("".join(element("code", part) if i % 2 else escape(part, quote=False) for i, part in enumerate(parts)))
 
 
 def json_script(value: Any, **attributes: str) -> Html:

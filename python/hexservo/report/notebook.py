@@ -20,7 +20,7 @@ from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Cell, Column, Item, Section, Table
 from hexservo.findings.wording import verdict_text
 from hexservo.report.evidence_html import table_html
-from hexservo.report.html import Html, element, paragraphs
+from hexservo.report.html import Html, element, paragraphs, sentence
 from hexservo.run.batch import BatchResult
 from hexservo.run.comparison import COLUMNS, Comparison, column_texts
 from hexservo.run.display import batch_text, comparison_text
@@ -148,7 +148,7 @@ def _verdict(section: Section) -> list[Html]:
 
 
 def _list(sentences: Iterable[str]) -> Html:
-    return element("ul", *[element("li", sentence) for sentence in sentences])
+    return element("ul", *[element("li", sentence(words)) for words in sentences])
 
 
 def _item(item: Item) -> Html:

@@ -17,7 +17,7 @@ from hexservo.findings.sections import Group, groups
 from hexservo.report.documentation import is_page, page_html
 from hexservo.report.evidence_html import badge, badges, section_html, table_html
 from hexservo.report.figures import figures
-from hexservo.report.html import TITLE, Html, element, json_script, paragraphs
+from hexservo.report.html import TITLE, Html, element, json_script, paragraphs, sentence
 from hexservo.report.scene import SpaceView, scene
 from hexservo.report.still import VIEW, still
 from hexservo.run.machine import versions
@@ -96,8 +96,8 @@ def _summary(result: Result, found: list[Group]) -> Html:
     sections = [(group, section) for group in found for section in group.sections]
     sections.sort(key=lambda pair: (_WORST_FIRST.index(pair[1].verdict), pair[0].source.name != "diagnose"))
     doubts = [
-        element("li", badge("warning"), " ", element("a", "Scenario", href="#scenario"), f": {sentence}")
-        for sentence in unlikely(result.scenario, by_law=result.by_law)
+        element("li", badge("warning"), " ", element("a", "Scenario", href="#scenario"), ": ", sentence(doubt))
+        for doubt in unlikely(result.scenario, by_law=result.by_law)
     ]
     rows = doubts + [
         element(
@@ -105,7 +105,7 @@ def _summary(result: Result, found: list[Group]) -> Html:
             *(Html(f"{one} ") for one in badges(section)),
             element("a", section.title, href=f"#{_anchor(group, section)}"),
             ": ",
-            section.sentences[0] if section.sentences else "no findings",
+            sentence(section.sentences[0]) if section.sentences else "no findings",
         )
         for group, section in sections
     ]
@@ -114,7 +114,7 @@ def _summary(result: Result, found: list[Group]) -> Html:
     ]
     events = [element("li", str(event)) for event in result.events]
     return Html(
-        element("ul", *[element("li", sentence) for sentence in summary_sentences(result)], class_="findings")
+        element("ul", *[element("li", words) for words in summary_sentences(result)], class_="findings")
         + (element("ul", *events, class_="events") if events else "")
         + (element("ul", *rows, class_="verdicts") if rows else "")
     )
