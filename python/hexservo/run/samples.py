@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hexservo.run.metrics import metrics
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.pixels import desired_features, image_border
-from hexservo.scenario.rotations import quaternion_of, unit_rotation_vectors
+from hexservo.scenario.rotations import quaternion_of, quaternion_product, unit_rotation_vectors
 from hexservo.scenario.wording import shown_unit
 
 if TYPE_CHECKING:
@@ -63,11 +63,7 @@ def turns_from_home(result: Result, quaternion: Array) -> Array:
     """Return the rotation vectors in B from home to attitudes (n, 4), w x y z, as (n, 3) [rad]; at most pi long."""
     home = np.asarray(result.scenario.robot.home_attitude)
     if home.any():
-        back = quaternion_of(-home)
-        w, v = back[0], back[1:]
-        scalar = quaternion[:, :1] * w - (quaternion[:, 1:] @ v)[:, None]
-        vector = quaternion[:, :1] * v + w * quaternion[:, 1:] + np.cross(quaternion[:, 1:], v)
-        quaternion = np.hstack([scalar, vector])
+        quaternion = quaternion_product(quaternion, quaternion_of(-home))
     return rotation_vectors(quaternion)
 
 

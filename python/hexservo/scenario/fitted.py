@@ -23,6 +23,7 @@ from hexservo.scenario.laws import ALL_LAWS, LAWS, Auto
 from hexservo.scenario.parameters import Settings, core_parameters
 from hexservo.scenario.placing import read_target
 from hexservo.scenario.plain import plain, put
+from hexservo.scenario.rotations import quaternion_of, quaternion_product
 
 # Dimensionless numbers of the formulas, docs/gains.md.
 _PRIOR = 1.5e-3  # composite, computed_torque: weight of the prior over the image of one point
@@ -157,10 +158,7 @@ def _goal(scenario: Blocks, settings: Settings, probe: _core.Probe) -> tuple[Arr
     assert error is not None
     displacement = error[0]
     shift, turn = np.split(displacement, 2)
-    angle = float(np.linalg.norm(turn))
-    w, v = np.cos(angle / 2), np.sinc(angle / (2 * np.pi)) / 2 * turn
-    q, u = quaternion[0, 0], quaternion[0, 1:]
-    quaternion = np.array([[w * q - v @ u, *(w * u + q * v + np.cross(v, u))]])
+    quaternion = quaternion_product(quaternion_of(turn), quaternion)
     position = position + shift
     return position, quaternion, probe.image(position, quaternion)[1], displacement
 

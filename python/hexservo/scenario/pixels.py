@@ -10,7 +10,7 @@ import numpy as np
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.parameters import core_parameters
-from hexservo.scenario.rotations import quaternion_of, unit_rotation_vectors
+from hexservo.scenario.rotations import quaternion_of, quaternion_product, unit_rotation_vectors
 
 if TYPE_CHECKING:
     from hexservo.scenario.blocks import Blocks, Camera
@@ -147,8 +147,9 @@ def on_pinhole(scenario: Scenario) -> Scenario:
             "target.desired_features": desired_features(scenario).tolist(),
         }
         if scenario.camera.axes == "opencv":  # rotated about x by pi from those of the paper
-            w, x, y, z = quaternion_of(np.asarray(scenario.camera.mount.rotation))
-            changes["camera.mount.rotation"] = unit_rotation_vectors(np.array([-x, w, z, -y])).tolist()
+            mount = quaternion_of(np.asarray(scenario.camera.mount.rotation))
+            turned = quaternion_product(mount, np.array([0.0, 1.0, 0.0, 0.0]))
+            changes["camera.mount.rotation"] = unit_rotation_vectors(turned).tolist()
             error = np.asarray(scenario.uncertainty.mount.rotation)
             changes["uncertainty.mount.rotation"] = (error * [1.0, -1.0, -1.0]).tolist()
         if scenario.target.initial_features is not None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.reading import path_text
-from hexservo.scenario.rotations import quaternion_of
+from hexservo.scenario.rotations import quaternion_of, quaternion_product
 from hexservo.scenario.yaml import ScenarioError, read_text
 
 MAX_SAMPLES = 10_000
@@ -56,7 +56,7 @@ def read_base_motion(path: str | os.PathLike[str]) -> Recording:
     if table.extra is _QUATERNION:
         attitudes = table.rows[:, 3:].tolist()
     elif table.extra is _ROTATION:
-        attitudes = [quaternion_of(row).tolist() for row in table.rows[:, 3:]]
+        attitudes = quaternion_of(table.rows[:, 3:]).tolist()
     elif table.extra is _RATE:
         attitudes = _integrated(table.rows[:, 3:], table.period).tolist()
     return Recording(table.period, table.rows[:, :3].tolist(), attitudes)
@@ -104,10 +104,8 @@ def _integrated(rates: Array, period: float) -> Array:
         + period**2 / 12 * np.cross(first, last)
     )
     attitudes = [np.array([1.0, 0.0, 0.0, 0.0])]
-    for turn in turns:
-        w, v = attitudes[-1][0], attitudes[-1][1:]
-        e = quaternion_of(turn)
-        now = np.concatenate([[w * e[0] - v @ e[1:]], w * e[1:] + e[0] * v + np.cross(v, e[1:])])
+    for turn in quaternion_of(turns):
+        now = quaternion_product(attitudes[-1], turn)
         attitudes.append(now / np.linalg.norm(now))
     return np.array(attitudes)
 

@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from hexservo.scenario.arrays import Array
 
 
-def quaternion_of(vector: Array) -> Array:
-    """Return the quaternion (4,) of a rotation vector (3,) [rad]."""
-    angle = float(np.linalg.norm(vector))
-    return np.concatenate([[math.cos(angle / 2)], 0.5 * float(np.sinc(angle / 2 / math.pi)) * vector])
+def quaternion_of(vectors: Array) -> Array:
+    """Return the quaternions (..., 4) of rotation vectors (..., 3) [rad]."""
+    half = 0.5 * vectors
+    angle = np.sqrt((half * half).sum(axis=-1, keepdims=True))
+    return np.concatenate([np.cos(angle), np.sinc(angle / np.pi) * half], axis=-1)  # sin(angle)/angle, also at zero
+
+
+def quaternion_product(first: Array, second: Array) -> Array:
+    """Multiply quaternions (..., 4): the rotation of the second, then that of the first, in the same frame."""
+    a, b, c, d = (first[..., i] for i in range(4))
+    w, x, y, z = (second[..., i] for i in range(4))
+    found = np.empty(np.broadcast_shapes(first.shape, second.shape))
+    found[..., 0] = a * w - b * x - c * y - d * z
+    found[..., 1] = a * x + b * w + c * z - d * y
+    found[..., 2] = a * y - b * z + c * w + d * x
+    found[..., 3] = a * z + b * y - c * x + d * w
+    return found
 
 
 def unit_rotation_vectors(unit: Array) -> Array:

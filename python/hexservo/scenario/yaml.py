@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import yaml
 
-from hexservo.scenario.reading import HDF5, open_regular, path_text
+from hexservo.scenario.reading import HDF5, SCENARIO_OF_RUN, open_regular, path_text
 
 Plain: TypeAlias = "bool | int | float | str | list[Plain] | dict[str, Plain] | None"
 """What a document holds: nothing but the types of the YAML core schema."""
@@ -210,7 +210,7 @@ def decoded(content: bytes, kind: str, source: str) -> str:
     if content.startswith(HDF5):
         raise ScenarioError(
             f"expected {kind}, got a netCDF or HDF5 file; a saved result is read by report, certify, analyse and "
-            "diagnose, and its scenario is scenario.yaml beside it",
+            f"diagnose, and its scenario is {SCENARIO_OF_RUN} beside it",
             source,
         )
     if len(content) > MAX_BYTES:

@@ -187,9 +187,7 @@ class _Worker:
         self.true = [self.jacobian(*place) for place in self.places]
         self.inverse = np.array(getattr(self.gains, self.traits.inverse))
         self.expected = self.inverse if self.traits.prior else np.zeros(6)
-        self.age = (
-            image_age(scenario) if scenario.camera.prediction == "encoder" else 0.0
-        )  # [s], that prediction bridges
+        self.age = image_age(scenario) if scenario.camera.prediction == "encoder" else 0.0  # [s], that it bridges
         self.drive, self.driven_by = self._drive()
         if self.age > 0.0:
             self.driven_by += f", with prediction over the {1e3 * self.age:.3g} ms of the image's mean age"
@@ -294,44 +292,43 @@ class _Worker:
     def slowest(self, known: Array, true: Array, inverse: Array | None = None, expected: Array | None = None) -> Array:
         """Return the smallest real part of the drift's rates [1/s], (n,), of J-hat (n, 2p, 6) and J: see `matrix`."""
         now = (self.matrix(known, true, inverse, expected), known, true)
-        # Per displacement since the exposure, which the law sees with J-hat in place of J: 1 - E where M_e is M.
-        since = (self.matrix(known, known - true, inverse, np.zeros(6)), known, known - true)
+        since = None
+        if self.age > 0.0:
+            # Per displacement since the exposure, which the law sees with J-hat in place of J: 1 - E where M_e is M.
+            since = (self.matrix(known, known - true, inverse, np.zeros(6)), known, known - true)
         return self._smallest_of(self._learning_motion(now, since) if self.integrates else self._motion(now, since))
 
-    def _motion(self, now: tuple[Array, Array, Array], since: tuple[Array, Array, Array]) -> Array:
+    def _motion(self, now: tuple[Array, Array, Array], since: tuple[Array, Array, Array] | None) -> Array:
         """Return the matrix whose eigenvalues are the rates without fuzzy systems, (n, 6, 6), or (n, 12, 12) with age.
 
         Its state is the displacement and, with an age tau of the image, the displacement d since the exposure, taken
-        as d' = chi' - d/tau. `now` and `since` are what to give to `springs_over_damping`.
+        as d' = chi' - d/tau. `now` and `since`, None without age, are what to give to `springs_over_damping`.
         """
         pull = self.springs_over_damping(*now)
-        if self.age == 0.0:
+        if since is None:
             return pull
         late = self.springs_over_damping(*since)
         return np.block([[pull, late], [pull, late + np.eye(6) / self.age]])
 
-    def _learning_motion(self, now: tuple[Array, Array, Array], since: tuple[Array, Array, Array]) -> Array:
+    def _learning_motion(self, now: tuple[Array, Array, Array], since: tuple[Array, Array, Array] | None) -> Array:
         """Return the matrix as `_motion` does for fuzzy systems, with the velocity in its state, (n, 12 or 18, ...)."""
         gains, learning = self.gains, np.diag(self.learning)
         damping = gains.kd + self._virtual_damping
         # An axis without damping has some: what is that fast does not count, but for its sign.
         damping = np.maximum(damping, _FAST * (self.learning + gains.kt))[:, None]
-        pull, late = (learning @ self.drive @ error / damping for error, _, _ in (now, since))
-        stiff, stiff_late = (
-            (gains.kt[:, None] * each[0] + self.of_image(*each[1:])) / damping for each in (now, since)
-        )
+
+        def springs(error: Array, known: Array, true: Array) -> tuple[Array, Array]:
+            stiffness = gains.kt[:, None] * error + self.of_image(known, true)
+            return learning @ self.drive @ error / damping, stiffness / damping
+
+        pull, stiff = springs(*now)
         zero, one = np.zeros_like(pull), np.broadcast_to(np.eye(6), pull.shape)
         # K_d chi'' + (kappa + K_t E + J-hat^T K_p J) chi' + kappa Lambda E chi = 0, with minus its rates as eigenvalues
-        if self.age == 0.0:
+        if since is None:
             return np.block([[zero, -one], [pull, learning / damping + stiff]])
-        forgets = one / self.age
-        return np.block(
-            [
-                [zero, -one, zero],
-                [pull, learning / damping + stiff + stiff_late, late - stiff_late / self.age],
-                [zero, -one, forgets],
-            ]
-        )
+        late, stiff_late = springs(*since)
+        row = [pull, learning / damping + stiff + stiff_late, late - stiff_late / self.age]
+        return np.block([[zero, -one, zero], row, [zero, -one, one / self.age]])
 
     def _smallest_of(self, matrix: Array) -> Array:
         """Return the smallest real part of an eigenvalue, (n,), without those of axes that have no drive."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexservo.scenario.arrays import Array, Mask
-from hexservo.scenario.rotations import unit_rotation_vectors
+from hexservo.scenario.rotations import quaternion_of, quaternion_product, unit_rotation_vectors
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,23 +44,21 @@ class Poses:
         """Return points in B, (..., n, 3) [m], that are fixed to the platform at (n, 3) in E [m]."""
         q = self.quaternion[..., None, :]
         pure = np.column_stack([np.zeros(len(points)), points])
-        turned = _product(_product(q, pure), q * np.array([1.0, -1.0, -1.0, -1.0])) / (q * q).sum(-1, keepdims=True)
+        back = q * np.array([1.0, -1.0, -1.0, -1.0])
+        turned = quaternion_product(quaternion_product(q, pure), back) / (q * q).sum(-1, keepdims=True)
         return np.asarray(self.position[..., None, :] + turned[..., 1:])
 
     def moved(self, displacement: Array) -> Poses:
         """Return the poses after displacements: one per row, or one for all."""
         if displacement.ndim == 1 and not displacement.any():
             return self
-        half = 0.5 * displacement[..., 3:]
-        angle = np.sqrt((half * half).sum(axis=-1))
-        vector = np.sinc(angle / np.pi)[..., None] * half  # sin(angle)/angle, also at zero
-        quaternion = _product(np.concatenate([np.cos(angle)[..., None], vector], axis=-1), self.quaternion)
+        quaternion = quaternion_product(quaternion_of(displacement[..., 3:]), self.quaternion)
         length = np.sqrt((quaternion * quaternion).sum(axis=-1, keepdims=True))
         return Poses(self.position + displacement[..., :3], quaternion / length)
 
     def displacement_from(self, other: Poses) -> Array:
         """Return the displacements from other poses to these, (..., 6) [m; rad], as of `moved`; rotation at most pi."""
-        turn = _product(self.quaternion, other.quaternion * np.array([1.0, -1.0, -1.0, -1.0]))
+        turn = quaternion_product(self.quaternion, other.quaternion * np.array([1.0, -1.0, -1.0, -1.0]))
         return np.concatenate([self.position - other.position, unit_rotation_vectors(turn)], axis=-1)
 
     def repeated(self, count: int) -> Poses:
@@ -107,15 +105,3 @@ def without_sign(directions: Array) -> Array:
     size = np.abs(directions)
     first = (size >= 0.9 * size.max(axis=-1, keepdims=True)).argmax(axis=-1)[..., None]
     return np.asarray(directions * np.sign(np.take_along_axis(directions, first, axis=-1)))
-
-
-def _product(first: Array, second: Array) -> Array:
-    """Multiply quaternions (..., 4): the rotation of the second, then that of the first, both in B."""
-    a, b, c, d = (first[..., i] for i in range(4))
-    w, x, y, z = (second[..., i] for i in range(4))
-    product = np.empty(np.broadcast_shapes(first.shape, second.shape))
-    product[..., 0] = a * w - b * x - c * y - d * z
-    product[..., 1] = a * x + b * w + c * z - d * y
-    product[..., 2] = a * y - b * z + c * w + d * x
-    product[..., 3] = a * z + b * y - c * x + d * w
-    return product
