@@ -205,12 +205,11 @@ class TuneResult(Findings):
                 f"That is biased, since the search chose by it. In variations that it never used {', '.join(parts)}, "
                 f"and {self.held_out.section().sentences[0]}"
             )
-        if self.before_is_feasible and not self.feasible:
-            pass  # as the first sentence states
-        elif self.before_is_better:
-            sentences.append(f"The original gains are better over the variations of the search{self._remedy}")
-        elif self.excluded:
-            sentences.append(f"No candidate has the original {self._exclusion}.")
+        if self.feasible or not self.before_is_feasible:  # the first sentence is about the original gains otherwise
+            if self.before_is_better:
+                sentences.append(f"The original gains are better over the variations of the search{self._remedy}")
+            elif self.excluded:
+                sentences.append(f"No candidate has the original {self._exclusion}.")
         if self.edges:
             where = "; ".join(edge.text for edge in self.edges)
             sentences.append(f"Gains at the edge of their range: {where}. A wider range may have better ones.")
