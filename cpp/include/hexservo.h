@@ -7,7 +7,10 @@
  *
  *     hexservo_scenario* scenario = hexservo_scenario_create();
  *     hexservo_run* run;
- *     if (hexservo_scenario_set_number(scenario, "uncertainty.gravity", 0.075) != HEXSERVO_OK ||
+ *     const char *start = "30 18 65 -65 -44 37 -10 -15", *goal = "10 10 45 -73 -64 29 -30 -23";
+ *     if (hexservo_scenario_set_text(scenario, "target.initial_features", start) != HEXSERVO_OK ||
+ *         hexservo_scenario_set_text(scenario, "target.desired_features", goal) != HEXSERVO_OK ||
+ *         hexservo_scenario_set_number(scenario, "uncertainty.gravity", 0.075) != HEXSERVO_OK ||
  *         hexservo_run_create(scenario, &run) != HEXSERVO_OK) {
  *       puts(hexservo_scenario_message(scenario));
  *     } else {
@@ -60,7 +63,9 @@ HEXSERVO_API const char* hexservo_version(void);
 /** All that a run depends on, as numbers and names by key. */
 typedef struct hexservo_scenario hexservo_scenario;
 
-/** The core's defaults with the first law; its goal has to be set. Null: no memory. */
+/** The core's defaults with the first law, of the paper's machine. Where the target's points look to be from the start
+ * (`target.initial_features`, or `target.points`) and its goal (`target.desired_features`) have to be set. Null: no
+ * memory. */
 HEXSERVO_API hexservo_scenario* hexservo_scenario_create(void);
 /** A copy, without the message. Null: no memory. */
 HEXSERVO_API hexservo_scenario* hexservo_scenario_copy(const hexservo_scenario* scenario);
@@ -82,7 +87,9 @@ typedef enum hexservo_type {
 /** Description of a key; its texts live as long as the library. */
 typedef struct hexservo_key {
   const char* name; /**< dotted: "camera.noise" */
-  const char* unit; /**< "px"; "linear; angular" where an array mixes both; "": none */
+  /** "px"; "linear; angular" where an array mixes both; "": none. What is of a leg is in rad and N m, in place of m and
+   * N, where `robot.legs` is `rotary`. */
+  const char* unit;
   hexservo_type type;
   int rows, columns;
   int optional;               /**< may be none: no numbers, or the text "none" */
@@ -104,7 +111,7 @@ HEXSERVO_API size_t hexservo_scenario_points(const hexservo_scenario* scenario);
 
 /** Sets a key that holds numbers: all of them, where the key allows it one for all, or of a symmetric matrix the
  * diagonal.
- * @param count 0: none, of a key that is optional
+ * @param count 0: none, of a key that is optional; no number stands for it
  * @return HEXSERVO_REFUSED for an unknown key or another count; bounds are checked by `hexservo_scenario_validate` */
 HEXSERVO_API hexservo_status hexservo_scenario_set_numbers(hexservo_scenario* scenario, const char* key,
                                                            const double* numbers, size_t count);

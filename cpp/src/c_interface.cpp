@@ -6,6 +6,7 @@
 #include "hexservo/subnormals.hpp"
 #include "plant_in_steps.hpp"
 #include "run_in_steps.hpp"
+#include "walk.hpp"
 
 #include <charconv>
 #include <cstring>
@@ -54,8 +55,29 @@ std::string_view trimmed(std::string_view text) {
   return text.substr(0, text.find_last_not_of(kSpace) + 1);
 }
 
+/// What the text of a key's numbers has to be.
+std::string expected_text(const ScenarioKey& key) {
+  const std::string numbers = key.type == KeyType::flag                     ? "1 or 0"
+                              : key.takes(1) && key.rows * key.columns == 1 ? "a number"
+                                                                            : "numbers with spaces between";
+  return numbers + (key.optional ? ", or none" : "");
+}
+
+/// Whether all numbers of a key are the one that the core has in place of none.
+bool are_none(const ScenarioKey& key, std::span<const double> numbers) {
+  return key.optional && !key.wrapped && !numbers.empty() &&
+         std::ranges::all_of(numbers, [none = key.field.bound.none](double number) { return number == none; });
+}
+
+/// Sets what a caller gave: none is no numbers, not the one that stands for it in the core.
+void set_given(Settings& settings, const ScenarioKey& key, std::span<const double> numbers) {
+  if (are_none(key, numbers))
+    refuse(key.name, detail::expected(key.field.bound, false) + ", or none", words(numbers[0]));
+  set_numbers(settings, key, numbers);
+}
+
 /// Numbers with spaces between.
-std::vector<double> numbers_in(const std::string& key, std::string_view text) {
+std::vector<double> numbers_in(const ScenarioKey& key, std::string_view text) {
   std::vector<double> numbers;
   while (true) {
     text = trimmed(text);
@@ -72,7 +94,7 @@ std::vector<double> numbers_in(const std::string& key, std::string_view text) {
     const auto [end, error] = std::from_chars(word.data() + (word[0] == '+'), last, number);
     const bool whole = end == last && error == std::errc{} && !word.starts_with("+-");
 #endif
-    if (!whole) refuse(key, "numbers with spaces between, or none", words('"', word, '"'));
+    if (!whole) refuse(key.name, expected_text(key), words('"', word, '"'));
     numbers.push_back(number);
   }
 }
@@ -144,18 +166,15 @@ void set_text(Settings& settings, std::string_view name, std::string_view given)
     return;
   }
   if (text == kNone) return set_numbers(settings, key, {});
-  const std::vector<double> numbers = numbers_in(key.name, text);
-  if (numbers.empty()) refuse(key.name, "numbers with spaces between, or none", "\"\"");
-  set_numbers(settings, key, numbers);
+  const std::vector<double> numbers = numbers_in(key, text);
+  if (numbers.empty()) refuse(key.name, expected_text(key), "\"\"");
+  set_given(settings, key, numbers);
 }
 
 /// Numbers of a key; those that stand for none are none.
 std::vector<double> numbers_or_none(const Settings& settings, const ScenarioKey& key) {
   std::vector<double> numbers = numbers_of(settings, key);
-  const double none = key.field.bound.none;
-  if (key.optional && !key.wrapped && !numbers.empty() &&
-      std::ranges::all_of(numbers, [none](double number) { return number == none; }))
-    numbers.clear();
+  if (are_none(key, numbers)) numbers.clear();
   return numbers;
 }
 
@@ -414,7 +433,7 @@ hexservo_status hexservo_scenario_set_numbers(hexservo_scenario* scenario, const
                                               size_t count) {
   return guarded(*scenario, [&] {
     if (numbers == nullptr && count > 0) refuse(std::string(given(key)), words(count, " numbers"), "a null pointer");
-    set_numbers(scenario->settings, scenario_key(scenario->settings.law(), given(key)), {numbers, count});
+    set_given(scenario->settings, scenario_key(scenario->settings.law(), given(key)), {numbers, count});
   });
 }
 

@@ -107,11 +107,7 @@ ControllerGains<Law, N> controller_gains(const Settings& settings, double period
   Settings ticking = settings;  // on the tick's own grid, and without what belongs to the plant
   ticking.uncertainty = {};
   ticking.uncertainty.depth = settings.uncertainty.depth;  // the controller's own: what it takes the target for
-  ticking.uncertainty.focal_length = settings.uncertainty.focal_length;  // and its camera
-  ticking.uncertainty.principal_point = settings.uncertainty.principal_point;
   ticking.uncertainty.mount = settings.uncertainty.mount;
-  if (settings.simulation.mode == LoopMode::sampled)
-    ticking.uncertainty.latency = settings.uncertainty.latency;  // stamps come so early: poses are kept that long
   ticking.simulation = {LoopMode::sampled, period, 1, period, 1, {}};
   ticking.base_motion = {};
   ticking.target.frame = TargetFrame::base;
@@ -122,7 +118,11 @@ ControllerGains<Law, N> controller_gains(const Settings& settings, double period
   }
   ticking.sensors.noise = 0.0;  // of the real encoders, not of those that a scenario simulates
   ticking.sensors.resolution = 0.0;
-  if (settings.simulation.mode == LoopMode::continuous) {
+  if (settings.simulation.mode == LoopMode::sampled) {
+    ticking.uncertainty.focal_length = settings.uncertainty.focal_length;  // of its camera, as the next
+    ticking.uncertainty.principal_point = settings.uncertainty.principal_point;
+    ticking.uncertainty.latency = settings.uncertainty.latency;  // stamps come so early: poses are kept that long
+  } else {
     ticking.camera = {settings.camera, {}, settings.camera.convention};
     ticking.sensors = {};
     ticking.actuators = {};

@@ -401,6 +401,7 @@ class Unit {
     }
     require_free(variable);
     std::vector<double> numbers = parameter(variable);
+    if (numbers[variable.index] == number) return;  // a tool may set what is there: a number that stands for none, too
     numbers[variable.index] = number;
     check(hexservo_scenario_set_numbers(scenario_.get(), variable.name.c_str(), numbers.data(), numbers.size()),
           scenario_);

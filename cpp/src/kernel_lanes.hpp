@@ -14,8 +14,8 @@ namespace hexservo::detail {
 
 inline constexpr int kWidth = HEXSERVO_KERNEL_LANES;
 
-/// Run all lanes to their end, each stopping by itself; defined in run_loop.hpp, compiled in a file per law and mode
-/// (kernel_law.cpp.in).
+/// Run all lanes to their end, each stopping by itself; defined in run_loop.hpp, compiled in kernel_loops.cpp and
+/// kernel_loops_of_points.cpp.
 template <class S, class Law, int N>
 RunStatus run_continuous(const RunRequest& request);
 template <class S, class Law, int N>

@@ -10,9 +10,10 @@ constexpr double kPi = 3.14159265358979323846;
 constexpr double kLargestTurn = 0.5;     // of a recording between two samples, which a spline joins [rad]
 constexpr double kUnitTolerance = 0.01;  // of the length of a recorded quaternion [1]
 
-void require_at_most(const std::string& key, double frequency, double fastest) {
-  if (!(frequency <= fastest))
-    refuse(key, words("a number from 0 to ", fastest, " Hz (two steps of the integration)"), words(frequency));
+/// Of a sine, which is zero at every step where it has two of them.
+void require_below(const std::string& key, double frequency, double fastest) {
+  if (!(frequency < fastest))
+    refuse(key, words("a number from 0 to below ", fastest, " Hz (two steps of the integration)"), words(frequency));
 }
 
 /// Frequencies between which noise lies.
@@ -36,7 +37,7 @@ void require_rotation(const BaseRotationParameters<double>& rotation, double fas
   const std::string key = "base_motion.rotation";
   if (rotation.kind == RotationKind::sinusoid) {
     for (int axis = 0; axis < 3; ++axis)
-      require_at_most(words(key, ".frequency[", axis, "]"), rotation.frequency(axis), fastest);
+      require_below(words(key, ".frequency[", axis, "]"), rotation.frequency(axis), fastest);
     if (!(rotation.amplitude.norm() <= kPi))
       refuse(key + ".amplitude", "a rotation vector of at most pi (radians)", words(rotation.amplitude.norm(), " rad"));
   } else if (rotation.kind == RotationKind::noise) {
@@ -98,7 +99,7 @@ void require_base(const BaseMotionSettings& motion, const SeedHalves<double>& se
   const bool attitudes = motion.attitudes && !motion.attitudes->empty();
   switch (motion.kind) {
     case BaseMotionKind::sinusoid:
-      require_at_most("base_motion.frequency", motion.frequency, fastest);
+      require_below("base_motion.frequency", motion.frequency, fastest);
       if (world && !(motion.frequency > 0.0))
         refuse("base_motion.frequency", "a number > 0 for a target in the world, from which the base would go away",
                "0");
@@ -139,7 +140,7 @@ void require_target(const Target& target, const Camera& camera, CameraConvention
     if (target.motion.kind != TargetMotionKind::none) refuse("target.motion.kind", "none" + points, "another kind");
   }
   if (target.motion.kind == TargetMotionKind::sinusoid)
-    require_at_most("target.motion.frequency", target.motion.frequency, fastest);
+    require_below("target.motion.frequency", target.motion.frequency, fastest);
   if (target.motion.kind == TargetMotionKind::recorded)
     require_samples("target.motion", target.motion.samples, target.motion.sample_period);
 }

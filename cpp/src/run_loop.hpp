@@ -1,6 +1,6 @@
 /// @file
-/// The run loop of a kernel, for one law and mode. Each is compiled in a separate file: with two in one the compiler
-/// inlines less of each, and two files compile side by side.
+/// The run loop of a kernel, for one law and mode. Those of all laws are compiled together, which takes little longer
+/// than one, with bounds on what is inlined that are wide enough for all of them (kernel_options in CMakeLists.txt).
 #pragma once
 
 #include "flatten.hpp"

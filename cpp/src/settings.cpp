@@ -186,6 +186,9 @@ long long ticks(const char* key, double time, double period, long long at_least)
 
 /// A principal point within the image, and a lens that shows all of it.
 void require_an_image(const CameraSettings& camera, const FrameSettings<double>& frames) {
+  if (std::isfinite(camera.image_size(0)) != std::isfinite(camera.image_size(1)))
+    refuse("camera.image_size", "two finite numbers, or none",
+           words(camera.image_size(0), " and ", camera.image_size(1)));
   if (!camera.image_size.allFinite()) return;
   if (camera.principal_point)
     for (int axis = 0; axis < 2; ++axis)

@@ -86,13 +86,50 @@ TEST_CASE("matrices that are not positive definite fail, and finite ones never s
   }
   CHECK(Cholesky<double, 6>(Matrix6<double>::Zero()).failed());
   for (int j = 0; j < 6; ++j) {
-    Matrix6<double> flat = Matrix6<double>::Identity(), tiny = flat, small = flat;
+    Matrix6<double> flat = Matrix6<double>::Identity(), negative = flat, tiny = flat, small = flat;
     flat(j, j) = 0.0;
+    negative(j, j) = -1.0;
     tiny(j, j) = 0.1 * kPivotFloor;
     small(j, j) = 10.0 * kPivotFloor;
     CHECK(Cholesky<double, 6>(flat).failed());
+    CHECK(Cholesky<double, 6>(negative).failed());
     CHECK(Cholesky<double, 6>(tiny).failed());
     CHECK_FALSE(Cholesky<double, 6>(small).failed());
+  }
+}
+
+TEST_CASE("a pivot fails below its share of the diagonal entries, whatever the unit of the linear or angular rows") {
+  // Of [[1, c], [c, 1]] the second pivot is 1 - c^2, which doubles hold to 1e-16: the floor is 90 times that.
+  for (int i = 0; i < 6; ++i)
+    for (int j = 0; j < i; ++j)
+      for (const double unit : {1.0, 1e-9, 1e9}) {
+        Matrix6<double> below = Matrix6<double>::Identity(), above = below;
+        below(i, j) = below(j, i) = std::sqrt(1.0 - 0.1 * kPivotFloor);
+        above(i, j) = above(j, i) = std::sqrt(1.0 - 10.0 * kPivotFloor);
+        for (Matrix6<double>* A : {&below, &above}) {
+          A->middleRows<3>(i / 3 * 3) *= unit;
+          A->middleCols<3>(i / 3 * 3) *= unit;
+        }
+        CHECK(Cholesky<double, 6>(below).failed());
+        CHECK_FALSE(Cholesky<double, 6>(above).failed());
+      }
+}
+
+TEST_CASE("a pose problem of any size of machine is solved as well: rows in pixels per metre and per radian") {
+  Random random(7206);
+  CAPTURE(random.seed());
+  for (int trial = 0; trial < 50; ++trial) {
+    CAPTURE(trial);
+    const Matrix6<double> A = random.positive_definite<6>(1e6);
+    const Vector6<double> b = random.matrix<6>();
+    const Vector6<double> x = Cholesky<double, 6>(A).solve(b);
+    for (const int power : {-27, -13, 13, 27}) {  // a machine up to 1e8 times as small or large
+      Vector6<double> unit = Vector6<double>::Ones();
+      unit.head<3>().setConstant(std::ldexp(1.0, power));
+      const Cholesky<double, 6> solver(Matrix6<double>(unit.asDiagonal() * A * unit.asDiagonal()));
+      REQUIRE_FALSE(solver.failed());
+      CHECK(unit.asDiagonal() * solver.solve(Vector6<double>(unit.asDiagonal() * b)) == x);
+    }
   }
 }
 

@@ -350,6 +350,26 @@ TEST_CASE("a clock that stands still for long stops a law that predicts") {
   REQUIRE_FALSE(step(gains, state, input).invalid_input());
 }
 
+TEST_CASE("errors of the camera that act in sampled mode alone do not change the tick of a continuous scenario") {
+  const Settings settings = settings_for(SwitchingKind::saturation);
+  Settings wrong = settings;
+  wrong.uncertainty.focal_length = 0.05;
+  wrong.uncertainty.principal_point << 3.0, -2.0;
+  Settings sampled = settings, sampled_wrong = wrong;
+  sampled.simulation.mode = sampled_wrong.simulation.mode = LoopMode::sampled;
+  Random random(75);
+  CAPTURE(random.seed());
+  const Gains gains = controller_gains<Hybrid>(settings, kPeriod);
+  const ControllerInput input = random_input(random, gains);
+  const auto wrench = [&](const Settings& of) {
+    const Gains prepared = controller_gains<Hybrid>(of, kPeriod);
+    State state = initial_state(prepared);
+    return step(prepared, state, input).wrench;
+  };
+  CHECK(same_bits(wrench(wrong), wrench(settings)));
+  CHECK_FALSE(same_bits(wrench(sampled_wrong), wrench(sampled)));
+}
+
 TEST_CASE("overflow, values beyond the limits of divergence and points behind the camera give the safe output") {
   const Gains gains = controller_gains<Hybrid>(settings_for(SwitchingKind::saturation), kPeriod);
   Random random(74);

@@ -153,7 +153,7 @@ def test_misuse_is_refused_with_a_message_and_changes_nothing(library: ctypes.CD
     for key, text, words in (
         ("controller.law", "none such", "controller.law: expected one of hybrid"),
         ("camera.nois", "1", "camera.nois: expected a key of a scenario with the law hybrid"),
-        ("camera.noise", "a lot", 'camera.noise: expected numbers with spaces between, or none, got "a"'),
+        ("camera.noise", "a lot", 'camera.noise: expected a number, got "a"'),
         ("camera.noise", "1 2 3", "camera.noise: expected 1 number, got 3"),
         ("robot.gravity", "9.8", "robot.gravity: expected 3 numbers, got 1"),
         ("robot.inertia", "1e-4", "robot.inertia: expected 3 or 9 numbers, got 1"),
@@ -162,7 +162,15 @@ def test_misuse_is_refused_with_a_message_and_changes_nothing(library: ctypes.CD
         ("simulation.substeps", "1.5", "simulation.substeps: expected a whole number"),
         ("actuators.saturation", "nan", "actuators.saturation: expected 1 or 0, got nan"),
         ("actuators.saturation", "7", "actuators.saturation: expected 1 or 0, got 7"),
-        ("robot.mass", "+-1", 'robot.mass: expected numbers with spaces between, or none, got "+-1"'),
+        ("actuators.saturation", "true", 'actuators.saturation: expected 1 or 0, got "true"'),
+        ("robot.mass", "+-1", 'robot.mass: expected a number, got "+-1"'),
+        ("robot.gravity", "down", 'robot.gravity: expected numbers with spaces between, got "down"'),
+        ("camera.timeout", "long", 'camera.timeout: expected a number, or none, got "long"'),
+        # what the core has in place of none is no number of a user
+        ("camera.period", "0", "camera.period: expected a number > 0, or none, got 0"),
+        ("sensors.period", "0", "sensors.period: expected a number > 0, or none, got 0"),
+        ("camera.timeout", "inf", "camera.timeout: expected a number > 0, or none, got inf"),
+        ("camera.image_size", "inf inf", "camera.image_size: expected a number > 0, or none, got inf"),
     ):
         before = scenario.get(key)
         assert scenario.set(key, text) == REFUSED
@@ -178,6 +186,17 @@ def test_misuse_is_refused_with_a_message_and_changes_nothing(library: ctypes.CD
     run = ctypes.c_void_p(1)
     assert library.hexservo_run_create(scenario.handle, ctypes.byref(run)) == REFUSED
     assert run.value is None
+
+
+def test_an_image_has_both_sides_or_none(scenario: Handle) -> None:
+    for key, value in flat(hs.load_scenario("eye-to-hand")).items():
+        assert scenario.set(key, value) == OK, scenario.message()
+    for size in ("1280 inf", "inf 960"):
+        assert scenario.set("camera.image_size", size) == OK
+        assert scenario.validate() == REFUSED
+        assert scenario.message().startswith("camera.image_size: expected two finite numbers, or none, got ")
+    assert scenario.set("camera.image_size", "none") == OK
+    assert scenario.validate() == OK
 
 
 def test_space_around_a_text_does_not_count(scenario: Handle) -> None:
@@ -323,6 +342,36 @@ def test_the_program_of_the_page_runs(path: Path, tmp_path: Path) -> None:
     )
     run = _core.simulate(core_parameters(scenario), load_kernel("baseline"))
     assert done.stdout.endswith(f", final error {run.metrics.final_error:g} px\n"), done.stdout
+
+
+def test_the_example_of_the_header_runs(path: Path, tmp_path: Path) -> None:
+    if shutil.which("cc") is None:
+        pytest.skip("no C compiler is installed")
+    (example,) = re.findall(r"\*\n((?: \*     .*\n)+) \*\n", HEADER.read_text(encoding="utf-8"))
+    body = "\n".join(line.removeprefix(" *") for line in example.splitlines())
+    (tmp_path / "program.c").write_text(
+        f"#include <hexservo.h>\n#include <stdio.h>\nint main(void) {{\n{body}\nreturn 0; }}\n", encoding="utf-8"
+    )
+    compile_line = [
+        "cc",
+        "-std=c99",
+        "-pedantic",
+        "-Wall",
+        "-Wextra",
+        "-Werror",
+        f"-I{HEADER.parent}",
+        "program.c",
+        str(path),
+    ]
+    subprocess.run([*compile_line, "-o", "program"], cwd=tmp_path, check=True)
+    done = subprocess.run(
+        [str(tmp_path / "program")],
+        check=False,
+        env={**os.environ, "LD_LIBRARY_PATH": str(path.parent)},
+        capture_output=True,
+        text=True,
+    )
+    assert (done.returncode, done.stdout) == (0, "ran to the end\n")
 
 
 def numbers(line: str) -> Array:

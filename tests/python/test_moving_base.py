@@ -606,6 +606,10 @@ def test_the_seed_draws_the_road(sampled: hs.Scenario) -> None:
     [
         ({"base_motion.rotation": {"kind": "sinusoid", "amplitude": [4, 0, 0]}}, "of at most pi (radians), got 4 rad"),
         ({"base_motion.rotation": {"kind": "sinusoid", "frequency": 2001.0}}, "base_motion.rotation.frequency[0]"),
+        (  # a sine of half the step rate is zero at every step
+            {"target.motion": {"kind": "sinusoid", "frequency": 2000.0}},
+            "target.motion.frequency: expected a number from 0 to below 2000 Hz",
+        ),
         ({"base_motion.rotation": {"kind": "noise", "low_frequency": 20}}, "base_motion.rotation.low_frequency: exp"),
         (
             {"base_motion.rotation": {"kind": "noise", "high_frequency": 3.5, "level": [0, 0, 1]}},

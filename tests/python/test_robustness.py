@@ -22,6 +22,7 @@ from hypothesis import strategies as st
 import hexservo as hs
 from fuzz.promises import check
 from packaged import ONE_OF_EACH_KIND, one_of_each_kind
+from rescaled import rescaled
 from widths import WIDTHS
 
 INF, NAN = math.inf, math.nan
@@ -670,3 +671,12 @@ def test_a_damaged_file_is_refused_or_is_a_scenario(data: st.DataObject) -> None
 
 
 TEXTS = [PAPER.to_yaml(), hs.Scenario.from_mapping(resolved("points")).to_yaml()]
+
+
+@pytest.mark.parametrize("size", [2.0**-12, 2.0**4])
+def test_a_pose_is_found_in_the_image_whatever_the_size_of_the_machine(size: float) -> None:
+    """The information of an image is in px/m and px/rad. Powers of two change no digit of a product or a sum."""
+    scenario = hs.load_scenario("fails-poor-image")
+    found, expected = (hs.simulate(one) for one in (rescaled(scenario, size, size**3), scenario))
+    assert found.outcome == expected.outcome == "completed"
+    np.testing.assert_array_equal(found.feature_error, expected.feature_error)

@@ -21,6 +21,7 @@ from hexservo.findings.check_machine import of_machine
 from hexservo.findings.check_motion import of_motion
 from hexservo.findings.check_period import of_period
 from hexservo.findings.check_points import of_points
+from hexservo.findings.check_tracking import of_tracking
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.blocks import Robot, preset_values
 from hexservo.scenario.fitted import auto_of, chosen_keys, fitted_keys, gains_written, idle_gains
@@ -48,8 +49,9 @@ def unlikely(scenario: Scenario, *, by_law: bool = True) -> list[str]:
     duration, the motions of base and target with what machines do (`of_motion`), the period of frames with what finds
     an unknown latency, the gate with the target's motion (`of_gate`), the machine with what is built (`of_machine`),
     and in sampled mode the servo period with the loop of the gains, linearised at home with the switching term as in
-    `linear_law`; gains with duration, servo rate, delays, forces and noise (`of_gains`). Gains with which numbers of
-    that loop overflow have a sentence that names it. Does not simulate.
+    `linear_law`; gains with duration, servo rate, delays, forces and noise (`of_gains`); the filter of `tracking` with
+    the target's motion (`of_tracking`). Gains with which numbers of that loop overflow have a sentence that names it.
+    Does not simulate.
 
     Parameters
     ----------
@@ -66,7 +68,7 @@ def unlikely(scenario: Scenario, *, by_law: bool = True) -> list[str]:
         sentences += _evaluated(check, scene)
     for of_scenario in (_of_image, _of_principal_point, _of_duration, _of_dropout, of_motion, _of_unknown_latency):
         sentences += _evaluated(of_scenario, scenario)
-    return sentences + (_evaluated(_of_rates, scene) if by_law else [])
+    return sentences + (_evaluated(_of_rates, scene) + _evaluated(of_tracking, scene) if by_law else [])
 
 
 def _evaluated(check: Callable[[_T], Iterator[str]], of: _T) -> list[str]:

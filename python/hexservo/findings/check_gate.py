@@ -30,7 +30,7 @@ def of_gate(scene: Scene) -> Iterator[str]:
             "camera.gate: a point that has gone elsewhere is never found again without camera.timeout; set that to "
             "some frame periods beyond the latency"
         )
-    motion = _from_frame_to_frame(scene.scenario.target.motion, frame_period(scene.scenario))
+    motion = moved_between_frames(scene.scenario.target.motion, frame_period(scene.scenario))
     by_metre = scene.view(scene.home).jacobian[:, :3].reshape(-1, 2, 3)
     moved = float(np.linalg.norm(by_metre @ motion.T, axis=1).max(initial=0.0))
     if moved > camera.gate:
@@ -40,7 +40,7 @@ def of_gate(scene: Scene) -> Iterator[str]:
         )
 
 
-def _from_frame_to_frame(motion: TargetMotion, period: float) -> Array:
+def moved_between_frames(motion: TargetMotion, period: float) -> Array:
     """Return displacements of a target from one frame to the next, the largest ones among them, (n, 3) [m]."""
     if motion.kind == "velocity":
         return period * np.array([motion.velocity], dtype=float)
