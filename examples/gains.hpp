@@ -16,10 +16,12 @@ namespace hexservo_paper {
 
 using Law = hexservo::Hybrid;
 
+inline constexpr const char* scenario_name = "paper";
+
 /// T_c, time between two ticks [s].
 inline constexpr double period = 0.001;
 
-/// Robot, camera, sensors, goal and gains; vectors of six: forces x y z, then moments x y z.
+/// Robot, camera, sensors, goal, gains, settling; vectors of six: forces x y z, then moments x y z.
 inline hexservo::Settings settings() {
   hexservo::Settings s = hexservo::Settings::of<Law>();
   hexservo::GainsOf<Law>& gains = s.gains<Law>();
@@ -85,6 +87,8 @@ inline hexservo::Settings settings() {
   gains.fuzzy.dead_zone << 0.0, 0.0, 0.0, 0.0, 0.0, 0.0;  // [m/s; rad/s]
   s.simulation.mode = hexservo::LoopMode::continuous;
   s.simulation.step = 0.001;  // [s]
+  s.metrics.band = 2.0;  // [px]
+  s.metrics.dwell = 0.2;  // [s]
   return s;
 }
 

@@ -1,12 +1,13 @@
 // A servo loop: read the sensors, take a tick, command the legs, sleep until the next period. No Python, no heap.
 //
 // Camera, joint sensors and legs are simulated here by `Robot`; its two functions are what a real program would
-// replace. gains.hpp was written by `hexservo export paper --header gains.hpp`; the header of any other machine that
-// takes forces will do, whatever number of points its target has. One that takes positions is commanded
+// replace. gains.hpp is written by `hexservo export SCENARIO --header gains.hpp` and found in the folders that the
+// compiler is given (-I, or GAINS of CMakeLists.txt); the one beside this file is the paper's. The header of any
+// machine that takes forces will do, whatever number of points its target has. One that takes positions is commanded
 // `leg_positions` in place of `leg_forces` (docs/position-machines.md).
 //
 //   servo [SECONDS]    how long to run, 1 s if not given; exit code 0 if the features settle at their goal
-#include "gains.hpp"
+#include <gains.hpp>
 
 #include <hexservo/controller.hpp>
 #include <hexservo/runge_kutta.hpp>
@@ -105,6 +106,7 @@ int main(int argc, char** argv) {
     return 2;
   }
 
+  std::printf("gains of the scenario \"%s\"\n", exported::scenario_name);
   const auto gains = exported::controller_gains();  // may throw: before the loop, never in it
   if (gains.motion.acts) {
     std::fprintf(stderr,

@@ -23,6 +23,7 @@ import rotary_machine
 from hexservo import _core
 from hexservo.bridges.model_description import si_exponents
 from hexservo.cli.commands import app
+from hexservo.run.controller import tick_keys
 from hexservo.run.export import gains_header
 from hexservo.run.variant import load_kernel
 from hexservo.scenario.flat import flat_text
@@ -411,12 +412,15 @@ def test_the_parameters_of_a_controller_are_those_of_its_header(make: Any, name:
     members = re.findall(r"^  (s|gains)\.([a-z_.]+?)(?:\.(?:emplace|resize)\(.*| <<.*| = .*)$",
                          gains_header(scenario), re.MULTILINE)  # fmt: skip
     header = {member if place == "s" else f"controller.{scenario.controller.law}.{member}" for place, member in members}
+    header -= {"metrics.band", "metrics.dwell"}  # which the tick does not use
     found = parameters(make(scenario, 2, "controller"))
     assert found - header == {"target.weights"}  # of 1 each, the header's default
     deciding = {"simulation.mode", "robot.legs", "actuators.kind", "camera.latency_known"}  # which variables there are
     assert not found & deciding
     missing = header - found - deciding
-    assert all(value_at(scenario, key) is None for key in missing), missing
+    acting = {key.name for key in tick_keys(core_parameters(scenario))}
+    assert found <= acting
+    assert all(value_at(scenario, key) is None or key not in acting for key in missing), missing
     assert not found & {"camera.noise", "uncertainty.gravity", "base_motion.kind", "simulation.duration", "seed"}
 
 
@@ -479,6 +483,68 @@ def test_the_controller_is_the_tick_bit_for_bit(
         for output, width in {"wrench": 6, "leg_forces": 6, "fuzzy_output": 6, **more}.items():
             np.testing.assert_array_equal(unit.get(output, width), recorded[output][row], err_msg=f"{output} at {row}")
         assert unit.get("status") == recorded["status"][row, 0]
+
+
+FAULTS: tuple[Any, ...] = (
+    lambda frame: frame["features"].fill(np.nan),
+    lambda frame: frame["features"].put(0, np.inf),
+    lambda frame: frame["features"].put([2, 3], np.nan),
+    lambda frame: np.multiply(frame["features"], 1e6, out=frame["features"]),
+    lambda frame: frame["depth"].put(0, np.nan),
+    lambda frame: np.negative(frame["depth"], out=frame["depth"]),
+    lambda frame: frame.update(exposure=frame["exposure"] + 1.0),  # from the future
+    lambda frame: frame.update(exposure=np.nan),
+    lambda frame: frame.update(exposure=0.0),
+    lambda frame: frame["leg_lengths"].put(0, np.nan),
+    lambda frame: np.multiply(frame["leg_lengths"], 3.0, out=frame["leg_lengths"]),
+    lambda frame: frame["position"].fill(np.nan),
+    lambda frame: frame["quaternion"].fill(0.0),
+    lambda frame: frame["twist"].fill(np.inf),
+    lambda frame: frame["leg_rates"].fill(np.nan),
+)
+"""What may be wrong with what a controller is given at a tick."""
+
+
+@pytest.mark.parametrize("name", ["real-machine", "composite-30hz", "pi-h824-positions", "reachy-mini-motors"])
+def test_faulty_inputs_leave_a_controller_the_tick_and_its_outputs_finite(make: Any, name: str) -> None:
+    """Frames and readings that are no numbers or wrong, and frames that stop for longer than the timeout."""
+    scenario = hs.load_scenario(name).updated({"camera.timeout": 0.5, "camera.latency_jitter": 0.0})
+    unit, period = make(scenario, 2, "controller").instance(), scenario.simulation.step
+    unit.start()
+    controller = hs.Controller(scenario)
+    goal = hs.project(scenario, np.zeros(6))
+    home = {name: unit.get(name, count) for name, count in (("leg_lengths", 6), ("position", 3), ("quaternion", 4))}
+    widths = {"wrench": 6, "leg_forces": 6, "fuzzy_output": 6}
+    widths |= {"leg_positions": 6} if scenario.actuators.takes_positions else {}
+    rng = np.random.default_rng(20261127)
+    frame: dict[str, Any] = {}
+    seen, statuses = np.nan, set()
+    for tick in range(120):
+        given: dict[str, Any] = {key: value.copy() for key, value in home.items()}
+        given |= {"twist": 0.01 * rng.normal(size=6), "leg_rates": 0.01 * rng.normal(size=6)}
+        if tick % 3 == 0 and not 40 <= tick < 80:
+            frame = {"features": goal + rng.normal(size=goal.size), "depth": np.full(goal.size // 2, -0.5)}
+            frame["exposure"] = tick * period
+        given |= {key: np.copy(value) for key, value in frame.items()}
+        if tick and rng.random() < 0.5:  # the joints are known once
+            FAULTS[rng.integers(len(FAULTS))](given)
+        exposure = float(given.pop("exposure"))
+        unit.set("exposure", exposure)
+        for key, values in given.items():
+            unit.put(key, values)
+        assert unit.step(period)
+        if np.isnan(exposure) or exposure == seen:  # no new frame
+            given |= {"features": None, "depth": None}
+        else:
+            seen = exposure
+        expected = controller.step(**given, exposure=exposure, now=tick * period)
+        for key, width in widths.items():
+            values = unit.get(key, width)
+            assert np.all(np.isfinite(values)), f"{key} at {tick}"
+            np.testing.assert_array_equal(values, getattr(expected, key), err_msg=f"{key} at {tick}")
+        assert (unit.get("status") == 0) == (expected.status == "valid")
+        statuses.add(expected.status)
+    assert {"valid", "unusable"} <= statuses
 
 
 @pytest.mark.parametrize("fmi", VERSIONS)

@@ -199,6 +199,20 @@ def test_an_image_has_both_sides_or_none(scenario: Handle) -> None:
     assert scenario.validate() == OK
 
 
+@pytest.mark.parametrize(
+    ("start", "source"), [("target.initial_features", "paper"), ("target.points", "false-equilibrium")]
+)
+def test_a_new_scenario_needs_what_the_page_names(scenario: Handle, start: str, source: str) -> None:
+    """A goal, and what the target looks like or is."""
+    page = (HEADER.parents[2] / "docs" / "c-interface.md").read_text(encoding="utf-8")
+    given = flat(hs.load_scenario(source))
+    for key in ("target.desired_features", start):
+        assert f"`{key}`" in page
+        assert scenario.validate() == REFUSED
+        assert scenario.set(key, given[key]) == OK
+    assert scenario.validate() == OK, scenario.message()
+
+
 def test_space_around_a_text_does_not_count(scenario: Handle) -> None:
     for key, text, found in (
         ("simulation.mode", " sampled\r\n", "sampled"),

@@ -39,7 +39,7 @@ SHARED = [
     *("camera.axes", "camera.convention", "target.desired_features"),
     *("controller.jacobian", "controller.switching.kind", "controller.switching.width", "uncertainty.depth"),
     *("uncertainty.mount.position", "uncertainty.mount.rotation"),
-    *("simulation.mode", "simulation.step"),
+    *("simulation.mode", "simulation.step", "metrics.band", "metrics.dwell"),
 ]
 FUZZY = [
     *("gains.kp", "gains.kv"),
@@ -114,6 +114,8 @@ def uncommon(paper: hs.Scenario, law: str) -> hs.Scenario:
             "target.desired_features": goal,
             "target.depth": about(0.5, 0.6, 0.5, 0.4),
             "controller.law": law,
+            "metrics.band": 2 / 3,
+            "metrics.dwell": 1 / 7,
             "controller.jacobian": "printed",
             "controller.switching": {"kind": "saturation", "width": width},
             **{
@@ -176,8 +178,28 @@ def test_the_head_says_what_it_is_and_no_date(paper: hs.Scenario) -> None:
     assert first == "// hexservo gains, format 1"
     assert f'"{paper.name}"' in second
     assert hs.__version__ in second
+    assert '\ninline constexpr const char* scenario_name = "paper";\n' in gains_header(paper)
     assert gains_header(paper) == gains_header(hs.load_scenario("paper"))
     assert "inline constexpr double period = 0.0005;" in gains_header(paper, 5e-4)
+
+
+@pytest.mark.skipif(shutil.which("g++") is None or EIGEN is None, reason="needs g++ and Eigen, as building does")
+def test_the_example_takes_the_header_of_the_folder_that_is_named(paper: hs.Scenario, tmp_path: Path) -> None:
+    """And not the one that is beside its source."""
+    header = tmp_path / "gains.hpp"
+    header.write_text(gains_header(paper), encoding="utf-8")
+    folders = ["-I", str(tmp_path), "-I", str(ROOT / "cpp" / "include"), "-isystem", str(EIGEN)]
+    command = ["g++", "-std=c++20", "-MM", *folders, str(ROOT / "examples" / "servo.cpp")]
+    found = subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()
+    assert [word for word in found if word.endswith("gains.hpp")] == [str(header)]
+
+
+@pytest.mark.parametrize("name", ["reachy-mini-head", "real-machine", "pi-h824-positions"])
+def test_a_header_has_what_settling_is_judged_by(name: str) -> None:
+    """Numbers that differ from the defaults of the core, which stand in for a missing line."""
+    scenario = hs.load_scenario(name).updated({"metrics.band": 0.7, "metrics.dwell": 0.3})
+    judged = [line for line in gains_header(scenario).splitlines() if line.startswith("  s.metrics.")]
+    assert judged == ["  s.metrics.band = 0.7;  // [px]", "  s.metrics.dwell = 0.3;  // [s]"]
 
 
 @pytest.mark.parametrize("law", MEMBERS)

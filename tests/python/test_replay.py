@@ -409,18 +409,20 @@ def test_the_example_compiles_with_any_header(
     example = (ROOT / "examples" / "servo.cpp").read_text(encoding="utf-8")
     program = compiled(tmp_path, library, example, ("gains.hpp", text))
     run = subprocess.run([program, "0.2"], capture_output=True, text=True, check=False)
+    assert run.stdout.startswith(f'gains of the scenario "{name}"\n')
     assert "ticks of 1 ms" in run.stdout
     assert run.stderr == ""
 
 
 @pytest.mark.slow
 def test_the_example_settles_with_a_lens(tmp_path: Path, library: Path) -> None:
-    """Its frames hold pixels of the camera, which has a principal point and distorts."""
-    text = gains_header(hs.load_scenario("eye-to-hand"))
+    """Its frames hold pixels of the camera, which has a principal point and distorts; the band is the scenario's."""
+    text = gains_header(hs.load_scenario("eye-to-hand").updated({"metrics.band": 2.5}))
     example = (ROOT / "examples" / "servo.cpp").read_text(encoding="utf-8")
     program = compiled(tmp_path, library, example, ("gains.hpp", text))
     run = subprocess.run([program, "1.2"], capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stdout
+    assert "features within 2.5 px" in run.stdout
 
 
 def test_what_was_lost_on_the_way_to_a_robot() -> None:

@@ -17,7 +17,7 @@ import numpy as np
 from hexservo import _core
 from hexservo.bridges.model_description import UnitVariable, model_description
 from hexservo.run.c_library import c_library
-from hexservo.run.controller import controller_keys
+from hexservo.run.controller import tick_keys
 from hexservo.run.metrics import METRICS, metric_unit
 from hexservo.run.result import quantities
 from hexservo.scenario.block import SAMPLED_MODE
@@ -139,7 +139,7 @@ def is_unit(path: Path) -> bool:
 def _keys(settings: _core.Settings, what: UnitKind) -> Iterator[_core.ScenarioKey]:
     """Yield the keys that act in a unit."""
     if what == "controller":
-        yield from (key for key in controller_keys(settings) if key.name not in _NOT_OF_A_CONTROLLER)
+        yield from (key for key in tick_keys(settings) if key.name not in _NOT_OF_A_CONTROLLER)
         return
     for key in _core.scenario_keys(settings.law):
         brakes = key.name.startswith("controller.safe.")  # without an image, a plant too

@@ -23,6 +23,8 @@ InputStatus: TypeAlias = Literal["valid", "unusable", "missing_image", "stale_im
 _START = (0.0, 0)
 
 _SEEN_FROM_HOME = ("target.initial_features", "target.depth")  # in place of points
+_OF_POSITIONS = ("actuators.position.", "controller.virtual_platform.")  # the core refuses them beside forces
+_OF_FORCES = ("actuators.saturation", "actuators.bandwidth", "controller.safe.")  # and these beside positions
 
 
 @described
@@ -206,14 +208,50 @@ def controller_arguments(scenario: Scenario, period: float | None) -> tuple[Sett
 
 
 def controller_keys(settings: Settings) -> Iterator[_core.ScenarioKey]:
-    """Yield the keys that a scenario's controller is made from: of its law, mode, legs and kind of target."""
-    sampled, prismatic = settings["simulation.mode"] == SAMPLED_MODE, settings["robot.legs"] == "prismatic"
-    has_points = settings["target.points"] is not None
+    """Yield the keys that a scenario's controller is made from: of its law, mode, legs, drives and kind of target.
+
+    The machine and the target are among them whole, also where the tick does not use them all.
+    """
+    sampled = settings["simulation.mode"] == SAMPLED_MODE
+    unused: tuple[str, ...] = _OF_FORCES if _takes_positions(settings) else _OF_POSITIONS
+    if settings["target.points"] is not None:
+        unused += _SEEN_FROM_HOME
+    if settings["robot.legs"] == "prismatic":
+        unused += ("robot.cranks.",)
     for key in _core.scenario_keys(settings.law):
         acts = not key.sampled or sampled or key.name.startswith("controller.safe.")
-        unused = (has_points and key.name in _SEEN_FROM_HOME) or (prismatic and key.name.startswith("robot.cranks."))
-        if key.concern == "controller" and acts and not unused:
+        if key.concern == "controller" and acts and not key.name.startswith(unused):
             yield key
+
+
+def tick_keys(settings: Settings) -> Iterator[_core.ScenarioKey]:
+    """Yield those of `controller_keys` that the tick depends on, or may once others have changed.
+
+    Law, mode, legs and kind of drives stay as they are.
+    """
+    law, positions = _core.LAW_TRAITS[settings.law], _takes_positions(settings)
+    unused: tuple[str, ...] = ()
+    if positions:
+        unused += ("robot.force_limit", "camera.convention")
+    else:
+        unused += ("robot.stroke", "robot.stroke_centre")
+        if settings["simulation.mode"] != SAMPLED_MODE:  # its drives do not saturate
+            unused += ("robot.force_limit",)
+    if law.output == "pose":
+        unused += ("camera.prediction", "camera.gate", "camera.mount.on", "controller.jacobian")
+    elif positions:
+        unused += ("actuators.delay", "actuators.position.bandwidth", "actuators.position.damping")
+    if law.output != "wrench":
+        unused += ("controller.virtual_platform.",)
+    if not law.switching:
+        unused += ("controller.switching.",)
+    if not law.points:
+        unused += ("target.points", *_SEEN_FROM_HOME, "uncertainty.depth")
+    return (key for key in controller_keys(settings) if not key.name.startswith(unused))
+
+
+def _takes_positions(settings: Settings) -> bool:
+    return bool(settings["simulation.mode"] == SAMPLED_MODE and settings["actuators.kind"] != "force")
 
 
 def _seconds(name: str, given: object) -> float:

@@ -37,6 +37,9 @@ C_NAMES = frozenset(
 )
 """Names of hexservo.h without ``hexservo_``: a namespace of such a name would not compile beside that header."""
 
+_OF_A_VERDICT = ("metrics.band", "metrics.dwell")
+"""Keys by which a program can state whether the features have settled at their goal, as a run does."""
+
 _ASSUMED = ("depth", "focal_length", "principal_point", "mount.position", "mount.rotation", "latency")
 """Keys of ``uncertainty`` that are errors of what the controller assumes."""
 
@@ -72,13 +75,14 @@ def robot_notes(scenario: Scenario) -> list[str]:
 def gains_header(scenario: Scenario, period: float | None = None) -> str:
     """Return a C++ header with all parameters of the controller of a scenario, as constants.
 
-    The header defines ``Law``, ``period``, ``settings()`` and ``controller_gains()`` in the namespace
-    ``hexservo_NAME``, where NAME is the scenario's, with "_" for what is neither letter nor digit, and followed by
-    ``_scenario`` where hexservo.h has that name, as ``hexservo_gains``; and the macro ``HEXSERVO_GAINS`` as that
-    namespace where no header before it has. Numbers read back bit for bit. What belongs to the plant is no part of it:
-    errors of inertia, Coriolis terms and weight, the faults of camera, encoders and actuators that a simulation adds,
-    and the motion of the base. What ``uncertainty`` has the controller itself assume wrongly is part of it: depth,
-    focal length, principal point, mount and, in ``sampled`` mode, latency (docs/model.md, section 7).
+    The header defines ``Law``, ``scenario_name``, ``period``, ``settings()`` and ``controller_gains()`` in the
+    namespace ``hexservo_NAME``, where NAME is the scenario's, with "_" for what is neither letter nor digit, and
+    followed by ``_scenario`` where hexservo.h has that name, as ``hexservo_gains``; and the macro ``HEXSERVO_GAINS`` as
+    that namespace where no header before it has. Numbers read back bit for bit. What belongs to the plant is no part
+    of it: errors of inertia, Coriolis terms and weight, the faults of camera, encoders and actuators that a simulation
+    adds, and the motion of the base. What ``uncertainty`` has the controller itself assume wrongly is part of it:
+    depth, focal length, principal point, mount and, in ``sampled`` mode, latency (docs/model.md, section 7). The
+    settings have ``metrics.band`` and ``metrics.dwell`` too, which the tick does not use.
 
     Parameters
     ----------
@@ -118,15 +122,18 @@ def gains_header(scenario: Scenario, period: float | None = None) -> str:
         "",
         f"using Law = hexservo::{law.type};",
         "",
+        f'inline constexpr const char* scenario_name = "{scenario.name}";',  # letters, digits, "-", "_" and "."
+        "",
         "/// T_c, time between two ticks [s].",
         f"inline constexpr double period = {period!r};",
         "",
-        "/// Robot, camera, sensors, goal and gains; vectors of six: forces x y z, then moments x y z.",
+        "/// Robot, camera, sensors, goal, gains, settling; vectors of six: forces x y z, then moments x y z.",
         "inline hexservo::Settings settings() {",
         "  hexservo::Settings s = hexservo::Settings::of<Law>();",
         "  hexservo::GainsOf<Law>& gains = s.gains<Law>();",
     ]
-    for key in controller_keys(settings):
+    judging = (key for key in _core.scenario_keys(settings.law) if key.name in _OF_A_VERDICT)
+    for key in (*controller_keys(settings), *judging):
         if key.name == "target.weights" and np.all(settings[key.name] == 1.0):  # the default
             continue
         member = key.name.replace(f"controller.{law.name}.", "gains.", 1)
