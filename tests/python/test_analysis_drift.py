@@ -318,6 +318,13 @@ def test_resolved_rate_drifts_away_as_fast_as_its_eigenvalue_says(paper: hs.Scen
     assert growth == pytest.approx(-result.own.rate, rel=0.05)
 
 
+def test_a_rounded_goal_image_has_a_goal_pose() -> None:
+    """Of `fails-leg-limits` the best pose leaves 3e-5 px: a rotation about the optical axis, which changes no rate."""
+    found = drift.analyse(hs.load_scenario("fails-leg-limits"))
+    assert found.has_goal
+    assert found.sizes[0].worst.goal == pytest.approx(found.sizes[0].worst.start, rel=1e-4)
+
+
 # ---- Against the linear loop of camera_rate -------------------------------------------------------------------------
 
 

@@ -10,9 +10,11 @@ import pytest
 import hexservo as hs
 from hexservo.findings.analysis import equilibria
 from hexservo.findings.analysis.equilibria import Equilibrium
+from hexservo.findings.analysis.goal import SHOWN, find_goals
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.rest import Rest
-from hexservo.findings.analysis.words import direction_words
+from hexservo.findings.analysis.scene import scene_of
+from hexservo.findings.analysis.words import direction_words, number
 from hexservo.scenario.parameters import core_parameters
 
 
@@ -299,3 +301,66 @@ def test_what_the_section_holds(trap: tuple[hs.Scenario, equilibria.Equilibria])
     numbers = analysis.to_dict()["equilibria"]
     assert numbers["false_attracting_reachable"] == 1
     assert [e["kind"] for e in numbers["equilibria"]] == ["goal", "false", "false"]
+
+
+INEXACT = [1e-5, 0.05, 0.3]  # [px], of one coordinate
+
+
+@pytest.mark.parametrize("by", INEXACT)
+def test_an_inexact_goal_image_has_a_goal_not_a_false_equilibrium(by: float, paper: hs.Scenario) -> None:
+    features = np.array(paper.target.desired_features)
+    features[0] += by
+    found = equilibria.analyse(paper.updated({"target.desired_features": features}))
+    assert [(each.kind, each.stability) for each in found.found] == [("goal", "attracting")]
+    # Least squares, as K_p is the same for all coordinates: no pose is better than the one of the exact image,
+    # which leaves `by`.
+    assert SHOWN < found.found[0].residual <= by
+    section = found.section()
+    assert section.verdict == ("good" if by < 0.1 else "warning")  # that of 0.3 px is beyond the stroke
+    assert f"an error of {number(found.found[0].residual)} px is left" in " ".join(section.sentences)
+
+
+def test_a_false_equilibrium_stays_one_beside_an_inexact_goal(trap: tuple[hs.Scenario, equilibria.Equilibria]) -> None:
+    scenario, exact = trap
+    features = np.round(scenario.target.desired_features or (), 2)
+    found = equilibria.analyse(scenario.updated({"target.desired_features": features}))
+    assert [each.kind for each in found.found] == [each.kind for each in exact.found]
+    assert found.section().verdict == "bad"
+
+
+def test_a_false_equilibrium_of_nearly_the_goal_image_is_named(trap: tuple[hs.Scenario, equilibria.Equilibria]) -> None:
+    """The square of `false-equilibrium` at a fifth of its size: the other pose has the image to 0.4 px."""
+    scenario, exact = trap
+    scene = scene_of(scenario)
+    middle = scene.points.mean(axis=0)
+    small = scenario.updated(
+        {
+            "target.initial_features": None,
+            "target.depth": None,
+            "target.points": middle + 0.2 * (scene.points - middle),
+        }
+    )
+    goal, other = exact.goals[0], exact.traps[0]
+    image = hs.project(small, goal.displacement)
+    found = equilibria.analyse(small.updated({"target.desired_features": np.round(image, 4)}))
+    assert len(found.goals) == 1
+    assert found.goals[0].residual < 1e-4  # [px], as least squares are no farther off than rounding
+    # two points of the small square move the image by 1/5 as much, so that the poses differ from those by little
+    near = min(found.traps, key=lambda each: float(np.linalg.norm(each.displacement - other.displacement)))
+    assert near.residual < 0.5
+    assert found.section().verdict == "bad"
+
+
+@pytest.mark.parametrize("band", [2.0, 0.01])
+def test_a_goal_image_of_no_pose_has_no_goal(band: float, paper: hs.Scenario) -> None:
+    """Farther off than ordinary noise, or than a narrower settling band."""
+    features = np.array(paper.target.desired_features)
+    features[0] += 4.0 if band > 0.5 else 0.05
+    scenario = paper.updated({"target.desired_features": features, "metrics.band": band})
+    goals = find_goals(scene_of(scenario))
+    assert goals is not None
+    assert min(band, 0.5) < goals.best.largest_residual <= max(band, 0.5)
+    assert goals.shown_at is None
+    found = equilibria.analyse(scenario)
+    assert {each.kind for each in found.found} == {"false"}
+    assert found.section().verdict == "bad"

@@ -210,7 +210,7 @@ def test_a_task_that_starts_at_its_goal_has_no_direction(paper: hs.Scenario) -> 
         {
             "target.desired_features": list(paper.target.initial_features or ()),
             "controller.law": "resolved_rate",
-            "simulation.duration": 0.5,
+            "simulation.duration": 0.25,
         }
     )
     result = largest_start.analyse(still)
@@ -218,6 +218,20 @@ def test_a_task_that_starts_at_its_goal_has_no_direction(paper: hs.Scenario) -> 
     assert len(result.directions) == 12
     assert "The goal image is that from home" in result.section().sentences[0]
     assert result.section().verdict == "open"
+    features = np.array(paper.target.initial_features)
+    features[0] += 1e-5
+    nearly = largest_start.analyse(still.updated({"target.desired_features": features}))
+    assert nearly.own is None
+    assert "The goal image is that from home to 1e-05 px" in nearly.section().sentences[0]
+
+
+def test_a_goal_image_that_is_rounded_has_a_direction() -> None:
+    """Of `fails-leg-limits` the best pose, a rotation by 18 degrees, leaves 3e-5 px."""
+    result = largest_start.analyse(hs.load_scenario("fails-leg-limits").updated({"simulation.duration": 0.05}))
+    assert result.own is not None
+    assert 1e-5 < result.goal_error < 1e-4
+    # [m; rad]: errors of 3e-5 px make the pose uncertain by 3e-5 * 173 mrad (1 sigma, of `conditioning`); 3 sigma
+    np.testing.assert_allclose(result.own.unit, [0, 0, 0, 0, 0, -math.pi / 10], atol=1.6e-5)
 
 
 def test_a_task_with_its_own_start_is_said_to_run_from_home(found: LargestStart, paper: hs.Scenario) -> None:

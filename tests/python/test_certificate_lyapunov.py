@@ -504,3 +504,12 @@ def test_a_camera_as_printed_is_certified(paper: hs.Scenario) -> None:
 def test_only_results_are_certified() -> None:
     with pytest.raises(TypeError, match=r"result: expected a Result \(see hs.simulate\), got str"):
         hs.certify("paper")  # type: ignore[arg-type]
+
+
+def test_a_run_of_one_step_has_no_chart_without_points(paper: hs.Scenario) -> None:
+    """V has no differences over its breaks: no warning of NumPy either, which tests raise."""
+    run = hs.simulate(paper.updated({"simulation.duration": 0.001}))
+    (section,) = (section for section in hs.certify(run).sections() if section.name == "lyapunov")
+    charts = [item for item in section.items if isinstance(item, Curves)]
+    assert "V-dot, two ways" not in [chart.title for chart in charts]
+    assert all(np.isfinite(line.y).any() for chart in charts for line in chart.lines)

@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import hexservo as hs
 
@@ -284,3 +285,17 @@ def test_the_metrics_are_those_of_the_samples(paper: hs.Scenario) -> None:
         # numbers lose some; a deviation below 1 px is a difference of products of 20 px
         loss = {"peak_rotation": 1e-15 / 0.07**2, "chatter": 1e-11, "peak_line_deviation": 1e-11}.get(name, 0.0)
         assert metrics[name] == pytest.approx(value, rel=1e-12 + loss, nan_ok=True), name
+
+
+def test_control_wrenches_are_those_beyond_the_estimated_weight(paper: hs.Scenario) -> None:
+    """With a centre of mass off the origin the weight has a moment, which the metric of the moment leaves out, too."""
+    centre = np.array([0.02, 0.0, 0.0])
+    result = hs.simulate(paper.updated({"robot.centre_of_mass": centre, "simulation.duration": 0.05}))
+    weight = np.array([0.0, 0.0, -9.8 * paper.robot.mass])
+    turned = Rotation.from_quat(result.quaternion, scalar_first=True).apply(centre)
+    moment = np.abs(result.wrench[:, 3:] - np.cross(turned, weight)).max()
+    measured = hs.metrics(result)
+    assert measured["peak_control_moment"] == pytest.approx(moment, rel=1e-12)
+    assert measured["peak_control_moment"] < 0.95 * np.abs(result.wrench[:, 3:]).max()
+    for name in ("peak_control_force", "peak_control_moment"):
+        assert hs.METRICS[name][1].endswith("component beyond the estimated weight")

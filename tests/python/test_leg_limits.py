@@ -280,6 +280,9 @@ def test_a_leg_just_beyond_its_stroke_is_not_written_as_at_its_stroke(paper: hs.
     assert LimitUse(stroke, 0.017 * (1 + 1e-6)).excess == (
         "takes a leg 17.00002 mm from the middle of its travel, beyond its stroke of 17 mm"
     )
+    # a run that `on_limit: stop` ends has its last sample just within
+    assert LimitUse(stroke, 0.017 * (1 - 1e-6)).excess == "ends where a leg reaches its stroke of 17 mm"
+    assert LimitUse(stroke, math.inf).excess == "ends early"
 
 
 def test_a_goal_beyond_a_joint_limit_is_an_obstacle(machine: hs.Scenario) -> None:

@@ -675,11 +675,43 @@ def test_continuous_mode_refuses_motion(paper: hs.Scenario) -> None:
             paper.updated({key: value})
 
 
-def test_analyses_state_that_they_take_the_base_at_rest(sampled: hs.Scenario) -> None:
-    words = "Base and target are taken at rest"
-    for changes, stated in (({"base_motion": SWAY}, True), ({"target.motion.kind": "velocity"}, True), ({}, False)):
-        (section,) = hs.analyse(sampled.updated(changes), ["conditioning"]).sections()
-        assert any(words in sentence for sentence in section.sentences) == stated
+@pytest.mark.parametrize(
+    ("changes", "at_rest", "in_runs"),
+    [
+        ({}, [], []),
+        (
+            {"base_motion": SWAY},
+            ["The base is taken at rest; in this scenario it moves."],
+            ["In all runs the base moves as in the scenario."],
+        ),
+        (
+            {"target.motion.kind": "velocity"},
+            ["The target is taken at rest; in this scenario it moves."],
+            ["In all runs the target moves as in the scenario."],
+        ),
+        (
+            {"base_motion": SWAY, "target.motion.kind": "velocity"},
+            ["Base and target are taken at rest; in this scenario both move."],
+            ["In all runs base and target move as in the scenario."],
+        ),
+    ],
+)
+def test_analyses_state_what_they_take_at_rest(
+    changes: dict[str, object], at_rest: list[str], in_runs: list[str], sampled: hs.Scenario
+) -> None:
+    scenario = sampled.updated({**changes, "simulation.duration": 0.02})
+    found = hs.analyse(
+        scenario.updated({"controller.law": "composite"}), ["conditioning", "equilibria", "largest_start"]
+    )
+    stated = {
+        section.name: [
+            sentence for sentence in section.sentences if "in this scenario" in sentence or "In all" in sentence
+        ]
+        for section in found.sections()
+    }
+    assert stated["conditioning"] == at_rest
+    assert stated["equilibria"] == []  # not for this law: nothing was computed
+    assert stated["largest_start"] == in_runs
 
 
 def test_a_diagnosis_names_the_motion_that_makes_a_run_fail(sampled: hs.Scenario) -> None:

@@ -36,6 +36,7 @@ from hexservo.report.figures import figures
 from hexservo.report.html import TITLE, Html, element, json_script, paragraphs, sentence
 from hexservo.report.page import page
 from hexservo.report.scene import scene
+from hexservo.report.still import still
 from hexservo.run.publish import OutputError
 from hexservo.run.samples import parts
 from hexservo.run.summary import summary_sentences
@@ -551,17 +552,76 @@ def test_the_scene_is_where_the_core_puts_it(name: str) -> None:
     lengths = np.linalg.norm(view.joints - view.base, axis=-1)
     np.testing.assert_allclose(lengths, result.leg_lengths[chosen], rtol=1e-12)
     assert view.targets is not None
+    assert len(view.targets) == 1
     for frame, sample in enumerate(chosen):
         pose = result.position[sample], result.quaternion[sample]
         rotation = view.rotation[frame]
         np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
-        seen, depth = _core.take_image(settings.camera, *pose, view.targets)
+        seen, depth = _core.take_image(settings.camera, *pose, view.targets[0])
         np.testing.assert_allclose(seen, result.features[sample], atol=1e-8)
         np.testing.assert_allclose(depth, result.depth[sample], atol=1e-12)
         drawn, _ = _core.take_image(settings.camera, *pose, view.placed(frame, view.image[frame]))
         np.testing.assert_allclose(drawn, result.features[sample], atol=1e-8)
         goals, _ = _core.take_image(settings.camera, *pose, view.placed(frame, view.goals))
         np.testing.assert_allclose(goals, result.scenario.target.desired_features, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("reachy-mini", {"target.motion": {"kind": "velocity", "velocity": [0.2, 0.0, 0.0]}}),
+        ("hand-eye", {"target.motion": {"kind": "sinusoid", "amplitude": [0.01, 0.0, 0.0], "frequency": 2.0}}),
+        (
+            "paper-composite",
+            {
+                "target.frame": "world",
+                "base_motion": {"kind": "sinusoid", "amplitude": [0.5, 0.0, 0.0], "frequency": 2.0},
+            },
+        ),
+    ],
+)
+def test_a_moving_target_is_where_it_is_at_each_instant(name: str, changes: dict[str, Any]) -> None:
+    """In the image of each sample by the core's camera, and in the box that the view shows."""
+    result = hs.simulate(
+        hs.load_scenario(name).updated({**changes, "simulation.mode": "sampled", "simulation.duration": 0.3})
+    )
+    view = scene(result)
+    low, high = view.box()
+    camera = core_parameters(result.scenario).camera
+    assert view.targets is not None
+    assert len(view.targets) == len(view.time)
+    assert np.ptp(view.targets, axis=0).max() > 1e-3  # [m]
+    for frame, sample in enumerate(np.searchsorted(result.time, view.time)):
+        place = view.target(frame)
+        assert place is not None
+        assert ((low <= place) & (place <= high)).all()
+        in_mount = view.targets[frame]
+        seen, depth = _core.take_image(camera, result.position[sample], result.quaternion[sample], in_mount)
+        np.testing.assert_allclose(seen, result.features[sample], atol=1e-8)
+        np.testing.assert_allclose(depth, result.depth[sample], atol=1e-12)
+
+
+def test_the_image_is_where_the_camera_is_mounted() -> None:
+    for name, place in (
+        ("paper", "at the centre of the platform"),
+        ("hand-eye", "on the platform"),
+        ("eye-to-hand", "on the base"),
+    ):
+        run = hs.simulate(hs.load_scenario(name).updated({"simulation.duration": 0.02}))
+        assert f"In front of the camera, {place}, is its image:" in words_of(page(run))
+
+
+def test_the_still_picture_has_no_line_where_a_feature_is_not_shown(result: hs.Result) -> None:
+    view = scene(result)
+    image = view.image.copy()
+    image[10:20, 0] = np.nan
+    gone = image[-1:, 1].copy()
+    image[-1:, 1] = np.nan
+    lines = re.findall(r'<polyline[^>]*class="path (\w+)"', still(replace(view, image=image)))
+    assert np.isfinite(gone).all()
+    assert [lines.count(colour) for colour in ("blue", "vermilion", "green")] == [2, 1, 1]
+    dots = re.findall(r'<circle[^>]*r="3"[^>]*class="dot (\w+)"', still(replace(view, image=image)))
+    assert "vermilion" not in dots
 
 
 def test_a_plant_without_points_has_no_targets() -> None:
@@ -920,6 +980,27 @@ HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
   return /webgl/.test(kind) ? null : original.call(this, kind, ...rest);
 };
 """
+
+
+@pytest.mark.slow
+@in_browser
+def test_the_image_has_no_line_where_a_feature_is_not_shown(
+    browser: Browser, result: hs.Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A path begins again after each gap, in the picture beside the view in space."""
+    view = scene(result)
+    image = view.image.copy()
+    image[10:20, 0] = np.nan
+    monkeypatch.setattr("hexservo.report.page.scene", lambda _: replace(view, image=image))
+    file = tmp_path / "report.html"
+    file.write_text(page(result), encoding="utf-8")
+    seen = Visit(browser, file, viewport=LAPTOP)
+    paths = seen.to_view().locator("#image path.past")
+    written = [paths.nth(point).get_attribute("d") or "" for point in range(4)]
+    seen.context.close()
+    assert [path.count("M") for path in written] == [2, 1, 1, 1]
+    shown = np.isfinite(image[..., 0]).sum(axis=0)
+    assert [path.count("M") + path.count("L") for path in written] == shown.tolist()
 
 
 @in_browser

@@ -141,7 +141,8 @@ def _space(seen: SpaceView) -> Html:
     )
     targets = "Coloured rays end at the targets." if seen.targets is not None else "This plant has no targets in space."
     legs = "legs" if seen.feet is None else "rods; thick: cranks"
-    where = "on the base" if seen.on_base else "at the centre of the platform"
+    centred = not (seen.on_base or seen.camera.any())
+    where = "at the centre of the platform" if centred else f"on the {'base' if seen.on_base else 'platform'}"
     words = (
         f"Grey: base and {legs}. Orange: legs beyond a limit. Blue: platform. In front of the camera, {where}, "
         "is its image: "

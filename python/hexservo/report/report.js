@@ -130,6 +130,7 @@
       runs[name] = numbers(scene[name]);
     }
     if (scene.feet) runs.feet = numbers(scene.feet);
+    if (scene.targets) runs.targets = numbers(scene.targets);
     const COLOURS = ["blue", "vermilion", "green", "black", "purple", "orange"];
     const POINTS = scene.goals.map((_, point) => COLOURS[point % COLOURS.length]);
     const GAP = [null, null, null];
@@ -146,7 +147,14 @@
       return [0, 1, 2].map((row) => o[row] + R[3 * row] * p[0] + R[3 * row + 1] * p[1] + R[3 * row + 2] * p[2]);
     }
     /** Where the target is in B at an instant. */
-    const targets = (frame) => (scene.onBase ? scene.targets.map((point) => carried(frame, point)) : scene.targets);
+    function targets(frame) {
+      const size = 3 * POINTS.length;
+      const at = Math.min(frame * size, runs.targets.length - size); // at rest they are there once
+      return POINTS.map((_, point) => {
+        const place = [...runs.targets.subarray(at + 3 * point, at + 3 * point + 3)];
+        return isNaN(place[0]) ? GAP : scene.onBase ? carried(frame, place) : place;
+      });
+    }
     const coordinates = (points) => ({
       x: points.map((p) => p[0]), y: points.map((p) => p[1]), z: points.map((p) => p[2]),
     });
@@ -262,10 +270,11 @@
     picture.setAttribute("viewBox", `${scale * left} ${-scale * high} 200 ${scale * (high - low)}`);
     const onPicture = (place) => [scale * place[0], -scale * place[1]];
     function walk(point, frames) {
-      let text = "";
+      let text = "", shown = false; // at the instant before
       for (let frame = 0; frame < frames; frame += 1) {
         const place = onPicture(imagePoint(frame, point));
-        if (!isNaN(place[0])) text += `${text ? "L" : "M"}${place[0].toFixed(2)} ${place[1].toFixed(2)}`;
+        if (!isNaN(place[0])) text += `${shown ? "L" : "M"}${place[0].toFixed(2)} ${place[1].toFixed(2)}`;
+        shown = !isNaN(place[0]);
       }
       return text;
     }

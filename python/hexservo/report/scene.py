@@ -14,6 +14,7 @@ from hexservo.run.leg_motion import leg_motions
 from hexservo.run.samples import parts, turns_from_home
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.leg_units import leg_units
+from hexservo.scenario.motion import moves
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.pixels import IMAGE_CORNERS, desired_features, image_border
 
@@ -42,7 +43,7 @@ class SpaceView:
     on_base: bool  # the camera is fixed in B, and the targets in E
     camera: Array  # (3,), of C's origin in E, or in B [m]
     axes: Array  # (3, 3), transforms C-coordinates into those of the same frame
-    targets: Array | None  # (p, 3), in B, or in E; None where the plant has no points
+    targets: Array | None  # (k, p, 3), or (1, p, 3) at rest, in B, or in E; None where the plant has no points
     border: Array  # (n, 3) in C, of the image, or a square with all features: a closed line, a corner each n / 4 rows
     size: tuple[float, ...] | None  # of the image, width and height [px]; None: it has none
     image: Array  # (k, p, 3) in C, features on the image plane; NaN beyond its widest
@@ -69,14 +70,17 @@ class SpaceView:
 
     def target(self, frame: int) -> Array | None:
         """Return the points of the target in B at an instant, (p, 3)."""
-        return self.carried(frame, self.targets) if self.on_base and self.targets is not None else self.targets
+        if self.targets is None:
+            return None
+        points = self.targets[min(frame, len(self.targets) - 1)]
+        return self.carried(frame, points) if self.on_base else points
 
     def box(self) -> tuple[Array, Array]:
         """Return the smallest and the largest coordinates of all drawn points, (3,) each."""
         plane = np.concatenate([self.placed(frame, self.border) for frame in range(len(self.time))])
         everything = [self.base, self.joints.reshape(-1, 3), self.position, plane]
-        targets = [self.target(frame) for frame in range(len(self.time) if self.on_base else 1)]
-        everything += [place for place in targets if place is not None]
+        targets = [self.target(frame) for frame in range(len(self.time))]
+        everything += [place[np.isfinite(place).all(axis=1)] for place in targets if place is not None]
         everything += [] if self.feet is None else [self.feet.reshape(-1, 3)]
         places = np.concatenate(everything)
         return places.min(axis=0), places.max(axis=0)
@@ -102,7 +106,7 @@ class SpaceView:
             "onBase": self.on_base,
             "camera": self.camera.tolist(),
             "axes": self.axes.tolist(),
-            "targets": None if self.targets is None else self.targets.tolist(),
+            "targets": None if self.targets is None else encoded(self.targets.ravel()),
             "corners": self.corners.tolist(),
             "border": self.border.tolist(),
             "zDown": self.z_down,
@@ -132,7 +136,6 @@ def scene(result: Result) -> SpaceView:
     image[np.abs(image[..., :2]).max(axis=-1) > _WIDEST * distance] = np.nan
     has_points = settings["camera.convention"] == "eye_in_hand"
     camera, *axes = settings.camera.in_mount(np.vstack([np.zeros(3), np.eye(3)]))
-    start = result.position[0], result.quaternion[0], result.features[0], result.depth[0]
     used, limit, limits = _limits_used(result, chosen)
     return SpaceView(
         time=result.time[chosen],
@@ -147,7 +150,7 @@ def scene(result: Result) -> SpaceView:
         on_base=result.scenario.camera.mount.on == "base",
         camera=camera,
         axes=np.column_stack(axes) - camera[:, None],
-        targets=_core.lift(settings.camera, *start) if has_points else None,
+        targets=_targets(result, settings.camera, chosen) if has_points else None,
         border=_on_plane(outline, distance),
         size=result.scenario.camera.image_size,
         image=image,
@@ -158,6 +161,17 @@ def scene(result: Result) -> SpaceView:
         pixels_per_metre=1 / pixel,
         z_down=result.scenario.robot.gravity[2] >= 0,
     )
+
+
+def _targets(result: Result, camera: _core.Camera, chosen: NDArray[np.intp]) -> Array:
+    """Return the points of the target at some samples, (k, p, 3), or (1, p, 3) where they rest, in B, or in E [m].
+
+    They are lifted from the image and the depth of each sample.
+    """
+    scenario = result.scenario
+    moving = scenario.target.motion.kind != "none" or (scenario.target.frame == "world" and moves(scenario.base_motion))
+    samples = (result.position, result.quaternion, result.features, result.depth)
+    return np.array([_core.lift(camera, *(of[i] for of in samples)) for i in (chosen if moving else chosen[:1])])
 
 
 def _limits_used(result: Result, chosen: NDArray[np.intp]) -> tuple[Array, NDArray[np.intp], tuple[str, ...]]:

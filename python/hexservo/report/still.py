@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hexservo.report.html import Html, element
 from hexservo.report.scene import SpaceView
-from hexservo.scenario.arrays import Array
+from hexservo.scenario.arrays import Array, Mask
 
 VIEW = (1.42, -1.75, 1.15)
 """Viewpoint in the upright frame, (x, -y, -z) of B where z points down; also the initial one of the page's script."""
@@ -47,18 +48,21 @@ def still(scene: SpaceView) -> Html:
     goals, targets = scene.placed(last, scene.goals), scene.target(last)
     for number in range(len(goals)):
         colour = _POINTS[number % len(_POINTS)]
-        path = image[np.isfinite(image[:, number]).all(axis=1), number]
-        if targets is not None and len(path):
+        shown = np.isfinite(image[:, number]).all(axis=1)
+        # parts between instants at which the feature is not shown
+        paths = [image[part, number] for part in _runs(shown)]
+        if targets is not None and paths and np.isfinite(targets[number]).all():
             shapes.append(_line(at(np.stack([camera, targets[number]])), f"ray {colour}"))
             shapes.append(_dot(at(targets[number])[None][0], 4, f"dot {colour}"))
-        if len(path):
-            shapes += [_line(at(path), f"path {colour}"), _dot(at(path[-1]), 3, f"dot {colour}")]
+        shapes += [_line(at(path), f"path {colour}") for path in paths]
+        if shown[last]:
+            shapes.append(_dot(at(image[last, number]), 3, f"dot {colour}"))
         shapes.append(_dot(at(goals[number]), 5, f"goal {colour}"))
     names: list[tuple[str, Array]] = [("base", scene.base[int(at(scene.base)[:, 0].argmax())])]
     names.append(("platform", joints[int(at(joints)[:, 0].argmax())]))
     names.append(("image", corners[int(at(corners)[:, 0].argmax())]))
     if targets is not None:
-        names.append(("targets", targets[int(at(targets)[:, 0].argmax())]))
+        names.append(("targets", targets[int(np.nanargmax(at(targets)[:, 0]))]))
     shapes += [_text(at(place), name) for name, place in names]
     return element(
         "svg",
@@ -68,6 +72,12 @@ def still(scene: SpaceView) -> Html:
         role="img",
         aria_label=f"The machine at t = {scene.time[last]:.4g} s: base, six legs, platform, image and targets",
     )
+
+
+def _runs(shown: Mask) -> list[NDArray[np.intp]]:
+    """Return the indices of each run of consecutive true values."""
+    at = np.flatnonzero(shown)
+    return [part for part in np.split(at, np.flatnonzero(np.diff(at) > 1) + 1) if len(part)]
 
 
 def _seen(points: Array, z_down: bool) -> Array:

@@ -11,6 +11,14 @@ from hexservo.scenario.leg_units import leg_units
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import apart, number
 
+_NAMES = {
+    "stroke": "its stroke",
+    "force": "the limit",
+    "speed": "its speed limit",
+    "base_joint": "its joint limit",
+    "platform_joint": "its joint limit",
+}  # by the kind of the limit
+
 
 @dataclass(frozen=True)
 class LegLimit:
@@ -49,17 +57,21 @@ class LimitUse:
 
     @property
     def excess(self) -> str:
-        """What a run beyond the limit does, as a clause that follows its subject."""
+        """What a run does that exceeds the limit or is stopped at it, as a clause that follows its subject."""
         unit, scale = self.limit.shown_unit
+        if not math.isfinite(self.peak):
+            return "ends early"
+        if self.share <= 1.0:  # of a run that is stopped at the limit the last good sample is within
+            return f"ends where a leg reaches {_NAMES[self.limit.kind]} of {self.limit.text}"
         peak, allowed = apart(self.peak * scale, self.limit.value * scale, 3)
         value = f"{peak} {unit}"
         return {
-            "stroke": f"takes a leg {value} from the middle of its travel, beyond its stroke",
-            "force": f"takes a {self.limit.of_leg} of {value}, beyond the limit",
-            "speed": f"moves a leg at {value}, beyond its speed limit",
-            "base_joint": f"tilts a leg by {value} at the base, beyond its joint limit",
-            "platform_joint": f"tilts a leg by {value} at the platform, beyond its joint limit",
-        }[self.limit.kind] + f" of {allowed} {unit}"
+            "stroke": f"takes a leg {value} from the middle of its travel",
+            "force": f"takes a {self.limit.of_leg} of {value}",
+            "speed": f"moves a leg at {value}",
+            "base_joint": f"tilts a leg by {value} at the base",
+            "platform_joint": f"tilts a leg by {value} at the platform",
+        }[self.limit.kind] + f", beyond {_NAMES[self.limit.kind]} of {allowed} {unit}"
 
 
 def leg_limits(scenario: Scenario) -> tuple[LegLimit, ...]:

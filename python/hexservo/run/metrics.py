@@ -24,7 +24,7 @@ METRICS: dict[str, tuple[str, str]] = {
     "final_linear_speed": ("m/s", "speed of the platform at the end"),
     "final_angular_speed": ("rad/s", "angular speed of the platform at the end"),
     "peak_control_force": ("N", "largest force component beyond the estimated weight"),
-    "peak_control_moment": ("N m", "largest moment component"),
+    "peak_control_moment": ("N m", "largest moment component beyond the estimated weight"),
     "peak_leg_force": ("N", "largest leg force"),
     "peak_leg_excursion": ("m", "largest leg travel from the middle of its stroke, which is the home length as a rule"),
     "overshoot": ("px", "largest excursion of a feature coordinate beyond its goal"),

@@ -34,7 +34,6 @@ _RIGHT_CAMERA = (
     "The controller's focal length and principal point are taken as those of the camera, also in short runs; in this "
     f"scenario they differ ({' and '.join(WRONG_CAMERA)})."
 )
-_AT_REST = "Base and target are taken at rest; in this scenario they move."
 
 # name -> (module of this package, its subject). A module has analyse(scenario), which returns a `Part`; the module
 # beside it, with _words after its name, has section(part).
@@ -77,8 +76,9 @@ class Analysis(Findings):
     def _section(self, name: str, part: Any) -> Section:
         found: Section | NotComputed = _computed(self.scenario, name, part.section)
         section = found.section() if isinstance(found, NotComputed) else found
-        moving = moves(self.scenario.base_motion) or self.scenario.target.motion.kind != "none"
-        taken = [_AT_REST] if moving and name not in _OF_RUNS else []
+        if not section.data.get("applies", True):  # no numbers were computed
+            return section
+        taken = _about_motion(self.scenario, name in _OF_RUNS)
         if has_camera_wrong(self.scenario) and name not in (*_OF_RUNS, *_OF_KNOWN_CAMERA):
             taken.append(_RIGHT_CAMERA)
         return replace(section, sentences=(*section.sentences, *taken)) if taken else section
@@ -135,6 +135,28 @@ def analyse(
             of = written if own else pinhole
             found[name] = _computed(scenario, name, partial(part, of))
     return Analysis(scenario, found)
+
+
+def _about_motion(scenario: Scenario, of_runs: bool) -> list[str]:
+    """Return what a part takes of the motion of base and target, of which runs have all."""
+    moving = [
+        name
+        for name, does in (
+            ("base", moves(scenario.base_motion)),
+            ("target", scenario.target.motion.kind != "none"),
+        )
+        if does
+    ]
+    if not moving:
+        return []
+    what, several = " and ".join(moving), len(moving) > 1
+    if of_runs:
+        return [
+            f"In all runs {what if several else 'the ' + what} {'move' if several else 'moves'} as in the scenario."
+        ]
+    if several:
+        return ["Base and target are taken at rest; in this scenario both move."]
+    return [f"The {what} is taken at rest; in this scenario it moves."]
 
 
 def _computed(scenario: Scenario, name: str, of: Callable[[], _Found]) -> _Found | NotComputed:

@@ -257,9 +257,8 @@ def _about_legs(result: CameraRate, tick: float) -> list[str]:
     """Describe how stroke, speed and joints of the legs, which are not in the linear loop, limit period and latency."""
     found = []
     for key, border in result.limits.items():
-        fails = "ends early" if np.isinf(border.use.share) else border.use.excess
         if border.within is None:
-            found.append(f"With the scenario's own {key} the task {fails}.")
+            found.append(f"With the scenario's own {key} the task {border.use.excess}.")
         elif border.beyond is None:
             found.append(
                 f"In runs of the task at each {key} tried, up to {_ms(border.largest * tick)}, the legs stay within "
@@ -272,7 +271,7 @@ def _about_legs(result: CameraRate, tick: float) -> list[str]:
             )
             found.append(
                 f"{what} the {key}: runs of the task keep the legs within {_limits(result)} up to "
-                f"{_ms(border.within * tick)}; at {_ms(border.beyond * tick)} the task {fails}."
+                f"{_ms(border.within * tick)}; at {_ms(border.beyond * tick)} the task {border.use.excess}."
             )
     return found
 

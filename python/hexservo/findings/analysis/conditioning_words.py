@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hexservo.findings.analysis.conditioning import Conditioning, Sight
-from hexservo.findings.analysis.goal import TOLERANCE
+from hexservo.findings.analysis.goal import SHOWN, TOLERANCE
 from hexservo.findings.analysis.placement import (
     DEPTH_SHARE,
     Placement,
@@ -110,14 +110,16 @@ def _goal_in_words(found: Conditioning) -> str:
         )
     best, nearest = found.goals.best, found.goals.nearest
     best_words = displacement_words(best.displacement, found.start.length)
-    if not found.goals.reachable and best.largest_residual > TOLERANCE:
+    if not found.goals.reachable:
         return (
             f"No pose with the goal image was found: the best one leaves {best.largest_residual:.3g} px, "
             f"at {best_words} from home."
         )
+    left = best.largest_residual
+    off = "" if left < SHOWN else f" (its image is {number(left)} px from the goal image)"
     return (
-        f"The goal pose is at {best_words} from home; the nearest pose that leaves no coordinate more than "
-        f"{TOLERANCE} px further off is at {displacement_words(nearest.displacement, found.start.length)}."
+        f"The goal pose is at {best_words} from home{off}; the nearest pose that leaves no coordinate more "
+        f"than {TOLERANCE} px further off is at {displacement_words(nearest.displacement, found.start.length)}."
     )
 
 

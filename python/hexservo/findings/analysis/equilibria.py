@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexservo import _core
-from hexservo.findings.analysis.goal import SHOWN, nearest_images
+from hexservo.findings.analysis.goal import SHOWN, find_goals, nearest_images
 from hexservo.findings.analysis.poses import Poses, without_sign
 from hexservo.findings.analysis.rest import Rest, not_analysed
-from hexservo.findings.analysis.scene import WIDER
+from hexservo.findings.analysis.scene import WIDER, scene_of
 from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.scenario import Scenario
@@ -22,6 +22,7 @@ _SAME = 1e-4  # [mean depth; rad], equilibria closer than this are one
 _ZERO = 1e-11  # of the largest eigenvalue, below which the sign of another one is rounding
 _FARTHEST = 3.0  # [mean depth], from home: a zero beyond is the one at infinity
 _GRAVITY_STEPS = 24  # in which the gravity error is switched on
+_IMAGE_STEPS = 4  # in which the image of the goal pose becomes a goal image that is not quite that
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,10 +96,14 @@ def analyse(scenario: Scenario) -> Equilibria:
     if not np.any(level.gains.kp):
         return Equilibria(law, "K_p is zero: there is no image part, and every pose is an equilibrium of it.")
     poses, converged, origin = _search(level, starts, np.array(level.gains.kp))
-    groups = _groups(level, poses, converged)
-    poses = poses[np.array([group[0] for group in groups], dtype=int)]
-    kinds = ["goal" if shown else "false" for shown in level.residual(poses) < SHOWN]
-    counts = [len(set(origin[group].tolist())) for group in groups]
+    goal, followed = _at_goal_pose(level, scenario)
+    groups = _groups(level, Poses.joined(poses, goal), np.concatenate([converged, followed]))
+    poses = Poses.joined(poses, goal)[np.array([group[0] for group in groups], dtype=int)]
+    shown = level.residual(poses) < SHOWN
+    kinds = [
+        "goal" if exact or group[-1] >= len(converged) else "false" for exact, group in zip(shown, groups, strict=True)
+    ]
+    counts = [len({int(origin[i]) for i in group if i < len(origin)}) for group in groups]
     goal_stiffness, gravity = None, rest.gravity_error
     force, down = float(np.linalg.norm(gravity[:3])), None
     if force > 0.0:
@@ -169,6 +174,21 @@ def _search(rest: Rest, starts: Poses, weights: Array) -> tuple[Poses, Mask, NDA
     raw, raw_found = rest.settled(starts, rounds=16)
     number = np.arange(len(starts))
     return Poses.joined(low, raw), np.concatenate([low_found, raw_found]), np.concatenate([number, number])
+
+
+def _at_goal_pose(level: Rest, scenario: Scenario) -> tuple[Poses, Mask]:
+    """Follow the equilibrium at the goal pose, (1,), from that pose's own image to the goal image.
+
+    Gives the pose it ends at and whether it was found; (0,) of both where no pose has the goal image.
+    """
+    goals = find_goals(scene_of(scenario))
+    if goals is None or not goals.reachable:
+        return level.home.rows[:0], np.zeros(0, dtype=bool)
+    pose, found = goals.best.view.pose.rows, np.ones(1, dtype=bool)
+    steps = 1 if goals.best.largest_residual < SHOWN else _IMAGE_STEPS
+    for left in np.linspace(1.0, 0.0, steps + 1)[1:]:
+        pose, found = level.aimed_at(level.desired - left * goals.best.residual).settled(pose, rounds=8)
+    return pose, found
 
 
 def _stiffness_along(direction: Array, rest: Rest, pose: Poses) -> float:

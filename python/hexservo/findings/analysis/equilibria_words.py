@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from hexservo.findings.analysis.equilibria import SEED, Equilibria, Equilibrium
+from hexservo.findings.analysis.goal import SHOWN
 from hexservo.findings.analysis.scene import WIDER
 from hexservo.findings.analysis.words import (
     along,
@@ -89,6 +90,8 @@ def _sentences(result: Equilibria) -> list[str]:
         words.append(f"No false equilibrium that attracts within the stroke was found beside the goal, {searched}.")
     if goal is not None and goal.stability == "attracting":
         words.append(_softness(result, goal))
+    if goal is not None and goal.kind == "goal" and goal.residual >= SHOWN:
+        words.append(f"No pose has exactly the goal image: at the goal an error of {number(goal.residual)} px is left.")
     if result.gravity_direction is not None and result.traps:
         words.append(_gravity_words(result, goal))
     others = [e for e in result.found if e.kind == "false" and e not in result.traps]

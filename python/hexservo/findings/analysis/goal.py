@@ -11,7 +11,8 @@ from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene, View
 from hexservo.scenario.arrays import Array
 
-SHOWN = 1e-6  # [px], an image this close to the goal is the goal
+SHOWN = 1e-6  # [px], an image this close to the goal is the goal but for rounding
+INEXACT = 0.5  # [px], as far as ordinary noise takes a goal image that was measured from the image of its pose
 TOLERANCE = 0.1  # [px], how far the nearest pose may leave a feature from what the best pose reaches
 
 _STEP = 0.3  # longest step of a search, in mean depths and radians: keeps it where the image is nearly what it was
@@ -46,13 +47,22 @@ class Goals:
 
     @property
     def reachable(self) -> bool:
-        """Whether a pose with the goal image was found, within `SHOWN`."""
-        return self.best.largest_residual < SHOWN
+        """Whether a pose with the goal image was found, within `inexact`."""
+        return self.best.largest_residual <= inexact(self.scene)
 
     @property
     def shown_at(self) -> Poses | None:
-        """The pose with the goal image, within `SHOWN`; None if none was found."""
+        """The pose with the goal image, within `inexact`; None if none was found."""
         return self.best.view.pose if self.reachable else None
+
+
+def inexact(scene: Scene) -> float:
+    """Return how far a feature of a pose with the goal image may be from its goal [px].
+
+    `INEXACT`, as a measured or rounded goal image is the image of no pose exactly, or the settling band where that is
+    narrower: no run settles at a pose that leaves more.
+    """
+    return min(scene.band, INEXACT)
 
 
 @lru_cache(maxsize=8)  # several parts of an analysis ask

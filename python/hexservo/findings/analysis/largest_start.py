@@ -12,7 +12,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from hexservo.findings.analysis.goal import SHOWN, find_goals
+from hexservo.findings.analysis.goal import find_goals, inexact
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.reach import nearest_limit
 from hexservo.findings.analysis.scene import AT_HOME, WIDER, Scene, scene_of
@@ -124,7 +124,9 @@ class LargestStart(Part):
     duration: float = 0.0  # [s], of every run
     longer: float = 0.0  # [s], of those of the smallest sizes that fail; 0: there were none
     runs: int = 0
-    starts_at_goal: bool = False  # home shows the goal image
+    starts_at_goal: bool = False  # home has the goal image, within `goal.inexact`
+    home_error: float = 0.0  # [px], largest |xi_d - xi| at home
+    goal_error: float = 0.0  # [px], the same at the pose of least image error
     band: float = 0.0  # [px], of settling
     dwell: float = 0.0  # [s], how long a run must have been within the band at its end
     assumed: str = ""  # what the runs with camera times assume beside the scenario
@@ -166,10 +168,12 @@ def analyse(scenario: Scenario) -> LargestStart:
         return LargestStart(law, "A camera as_printed has no points in space, so goals have no pose: not tried.")
     scene = scene_of(scenario)
     trial = _Trial(scenario)
-    directions = _directions(scene, trial)
+    goals = find_goals(scene)
+    assert goals is not None  # as the camera has points
+    at_goal = bool(scene.residual(scene.home) <= inexact(scene))
+    directions = _directions(scene, trial, goals.best.displacement if goals.reachable and not at_goal else None)
     timings, assumed = _timings(scenario, trial) if trial.task_settles else ((), "")
     longer = trial.longer if any(d.settles_later is not None for d in directions) else 0.0
-    at_goal = bool(scene.residual(scene.home) < SHOWN)
     measured = scenario.metrics
     return LargestStart(
         law,
@@ -180,6 +184,8 @@ def analyse(scenario: Scenario) -> LargestStart:
         longer,
         trial.runs,
         at_goal,
+        float(scene.residual(scene.home)),
+        goals.best.largest_residual,
         measured.band,
         measured.dwell,
         assumed,
@@ -265,8 +271,8 @@ def _whole(duration: float, step: float) -> float:
 # ---- Starting errors ------------------------------------------------------------------------------------------------
 
 
-def _directions(scene: Scene, trial: _Trial) -> tuple[Direction, ...]:
-    """Try goals along the task's own way, the axes and the rotations, all in one batch per round."""
+def _directions(scene: Scene, trial: _Trial, own: Array | None) -> tuple[Direction, ...]:
+    """Try goals along the task's own way, if it has one, the axes and the rotations, all in one batch per round."""
     ways = [
         Direction(
             name,
@@ -279,7 +285,7 @@ def _directions(scene: Scene, trial: _Trial) -> tuple[Direction, ...]:
             error=np.nan,
             overloads={},
         )
-        for name, unit in _units(scene)
+        for name, unit in _units(scene, own)
     ]
     ways = [way for way in ways if way.largest > 0.0]
 
@@ -339,9 +345,8 @@ def _settles_later(scene: Scene, trial: _Trial, ways: list[Direction]) -> list[b
     return found
 
 
-def _units(scene: Scene) -> list[tuple[str, Array]]:
-    goals = find_goals(scene)
-    units = [("own", goals.best.displacement)] if goals is not None and goals.reachable else []
+def _units(scene: Scene, own: Array | None) -> list[tuple[str, Array]]:
+    units = [] if own is None else [("own", own)]
     for j in range(6):
         for sign, value in (("+", 1.0), ("-", -1.0)):
             unit = np.zeros(6)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from hexservo.findings.analysis.goal import SHOWN
 from hexservo.findings.analysis.largest_start import Direction, LargestStart, Timing
 from hexservo.findings.analysis.words import finite, number, open_section
 from hexservo.findings.evidence import Column, Curves, Item, Line, Section, Table, Verdict, picked
@@ -57,9 +58,13 @@ def _sentences(found: LargestStart) -> list[str]:
     words = []
     own = found.own
     if own is None and found.starts_at_goal:
-        words.append("The goal image is that from home: the task has no direction (others are tried, empirical).")
+        off = "" if found.home_error < SHOWN else f" to {number(found.home_error)} px"
+        words.append(f"The goal image is that from home{off}: the task has no direction (others are tried, empirical).")
     elif own is None:
-        words.append("No pose within the region searched has the goal image: the direction of the task was not tried.")
+        words.append(
+            "No pose within the region searched has the goal image "
+            f"(the best one found leaves {number(found.goal_error)} px): the direction of the task was not tried."
+        )
     elif own.fails_at is None:
         words.append(
             f"In all runs in the direction of the task the error settles within {found.duration:g} s and {_WITHIN}, "

@@ -137,7 +137,8 @@ def _items(found: Lyapunov) -> tuple[Table | Curves, ...]:
     )
     change, per_joule = shown_unit(max(float(np.abs(part[shown]).max()) for part in changes), "J")
     rates = (found.predicted[shown], found.differentiated[shown])
-    power, per_axis_watt = shown_unit(max(float(np.nanmax(np.abs(rate))) for rate in rates), "W")
+    compared = np.isfinite(rates[1]).any()  # not in a run of a few steps
+    power, per_axis_watt = shown_unit(max(float(np.nanmax(np.abs(rate))) for rate in rates) if compared else 0.0, "W")
     table = Table.of(
         "Where V grows, worst first",
         rises[:_ROWS],
@@ -152,6 +153,16 @@ def _items(found: Lyapunov) -> tuple[Table | Curves, ...]:
             (Column("gamma of the axis"), lambda rise: rise.gamma),
         ],
         note=f"{len(rises)} intervals in all. gamma in N or N m.",
+        page=PAGE,
+    )
+    rate_chart = Curves(
+        "V-dot, two ways",
+        "time [s]",
+        f"V-dot [{power}]",
+        [
+            Line("by (20)", time, rates[0] * per_axis_watt),
+            Line("by differences of V", time, rates[1] * per_axis_watt, "points"),
+        ],
         page=PAGE,
     )
     terms = (("kinetic energy", found.kinetic), ("image error", found.image), ("weight error", found.weight))
@@ -176,16 +187,7 @@ def _items(found: Lyapunov) -> tuple[Table | Curves, ...]:
             ],
             page=PAGE,
         ),
-        Curves(
-            "V-dot, two ways",
-            "time [s]",
-            f"V-dot [{power}]",
-            [
-                Line("by (20)", time, rates[0] * per_axis_watt),
-                Line("by differences of V", time, rates[1] * per_axis_watt, "points"),
-            ],
-            page=PAGE,
-        ),
+        *((rate_chart,) if compared else ()),
     )
 
 

@@ -16,7 +16,6 @@ from hexservo.scenario.pixels import desired_features, to_pixels
 from hexservo.scenario.scenario import Scenario
 
 _SPREAD = 0.2  # half the side of the square that stands in for a target, in parts of its distance
-_EXACT = 0.5  # [px]: features of a pose are no farther off, with ordinary noise
 _SHOWN = 1.0  # [px]: it may be that no pose shows the goal exactly
 
 
@@ -58,9 +57,8 @@ def obstacle_of(scenario: Scenario, goal: Goal | None) -> Obstacle | None:
     if found.goal_within and found.residual <= scenario.metrics.band:
         return None
     # A far pose may nearly show four features that belong to none: the legs are the cause for an image of a pose.
-    allowed = min(scenario.metrics.band, _EXACT)
     beyond = "" if found.nearest.within else found.nearest.beyond
-    return Obstacle("image" if found.residual > allowed else "legs", beyond, travel, found.residual, image)
+    return Obstacle("legs" if goals.reachable else "image", beyond, travel, found.residual, image)
 
 
 def goal_of(scenario: Scenario) -> Goal | None:
