@@ -278,12 +278,16 @@ HALF_A_SECOND = hs.load_scenario("paper").updated({"simulation.duration": 0.5})
 REFUSED = [
     (
         {"vary": {"uncertainty.gravty": {"uniform": [0, 1]}}},
-        'vary.uncertainty.gravty: .*did you mean "uncertainty.gravity"',
+        'vary.uncertainty.gravty: unknown key; did you mean "uncertainty.gravity"',
     ),
     (
         {"vary": {"controller.law": {"choice": [1]}}},
         "vary.controller.law: expected a numeric key, got one that is not numeric and cannot vary within a campaign; "
         "run one campaign for each value, or hs.compare with the laws",
+    ),
+    (
+        {"vary": {"simulation.start.pose": {"uniform": [-45, 45], "each": True}}},
+        "vary.simulation.start.pose: expected a rotation vector at most 2 pi long .*, which it reaches; clip it or",
     ),
     ({"vary": {"robot.payload": {"choice": [1]}}}, "expected a numeric key, got a block; name a key below it"),
     (

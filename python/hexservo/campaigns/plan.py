@@ -41,6 +41,7 @@ from hexservo.scenario.block import Block
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.noise import is_random
 from hexservo.scenario.plain import dotted, plain
+from hexservo.scenario.pose_rules import problem_of_turns
 from hexservo.scenario.problems import in_words
 from hexservo.scenario.rules import Flag, Integer, Problem, refusal, shown_value
 from hexservo.scenario.scenario import Document, Scenario, load_scenario, scenario_names
@@ -269,6 +270,8 @@ def _unfit(scenario: Scenario, key: str, variation: Variation) -> str:
     reached = np.array([low + base.min(), high + base.max()])
     if not (rule.whole or rule.within(reached).all()):
         return f"expected {rule.expected}, but it reaches {reached[0]:.4g} ... {reached[1]:.4g}; clip it or narrow it"
+    if rule.pose and (problem := problem_of_turns(np.full(6, np.abs(reached).max()))) is not None:
+        return f"{problem}, which it reaches; clip it or narrow it"
     return ""
 
 
