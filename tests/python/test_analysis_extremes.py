@@ -104,6 +104,14 @@ def test_an_overflow_is_a_reason_and_an_error_of_the_program_is_not_hidden(paper
         _computed(paper, "drift", lambda: len(3))  # type: ignore[arg-type]
 
 
+def test_arguments_are_names_and_a_function(paper: hs.Scenario) -> None:
+    for parts in (3, [3]):
+        with pytest.raises(TypeError, match=r"^parts: expected a list of names, or None, got int$"):
+            hs.analyse(paper, parts)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match=r"^progress: expected a function or None, got int$"):
+        hs.analyse(paper, ["drift"], progress=3)  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize("name", one_of_each_kind())
 def test_packaged_scenarios_have_numbers(name: str) -> None:
     found = hs.analyse(hs.load_scenario(name), ["drift"])

@@ -586,7 +586,7 @@ def test_a_dataset_shares_no_memory_with_the_batch(smooth: hs.Scenario, log: Log
     ("variations", "message"),
     [
         ({}, r"^variations: expected at least one key, got none$"),
-        ({"uncertainty.dept": [0.1]}, r'^uncertainty.dept: .*did you mean "uncertainty.depth"\?$'),
+        ({"uncertainty.dept": [0.1]}, r'^uncertainty.dept: unknown key; did you mean "uncertainty.depth"\?$'),
         (
             {"camera": [0.1]},
             r"^camera: expected a numeric key, got a block; name a key below it, such as camera\.focal_length$",
@@ -600,12 +600,15 @@ def test_a_dataset_shares_no_memory_with_the_batch(smooth: hs.Scenario, log: Log
             {"controller.law": ["hybrid", "composite"]},
             r"^controller.law: expected a numeric key.*; run one batch for each value, or hs.compare with the laws$",
         ),
-        ({"camera.prediction": ["none"]}, r"^camera.prediction: .*; run one batch for each value$"),
+        (
+            {"camera.prediction": ["none"]},
+            r"^camera.prediction: .*, got one that is not numeric .*; run one batch for each value$",
+        ),
         (
             {"controller.hybrid.fuzzy.enabled": [True]},
             r"^controller.hybrid.fuzzy.enabled: expected a numeric key",
         ),
-        ({3: [0.1]}, r"^3: expected a numeric key"),
+        ({3: [0.1]}, r"^3: unknown key; `hexservo schema` lists"),
         (
             {"controller.composite.kt": [6.0]},
             r"^controller.composite.kt: expected a key of the scenario's law, hybrid, got a key of a different law$",
@@ -646,6 +649,10 @@ def test_a_dataset_shares_no_memory_with_the_batch(smooth: hs.Scenario, log: Log
             r"^scenario 0: uncertainty.gravity\[3\]: expected",
         ),
         ({"simulation.log_every": [1, 2.5]}, r"^scenario 1: simulation.log_every: expected an integer .* got 2.5$"),
+        (
+            {"simulation.start.pose": [[0.0] * 6, [0.0] * 5 + [6.3]]},
+            r"^scenario 1: simulation.start.pose: expected a rotation vector at most 2 pi long .*, got one of 6.3 \(de",
+        ),
         ({"seed": [0, -1]}, r"^scenario 1: seed: expected an integer from 0 to 18446744073709551615, got -1$"),
         ({"seed": [0, 2**64]}, r"^scenario 1: seed: expected an integer from 0 to .*615, got 18446744073709551616$"),
         ({"seed": [0, 0.5]}, r"^scenario 1: seed: expected an integer from 0 to .* got 0.5$"),

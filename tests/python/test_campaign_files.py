@@ -278,12 +278,16 @@ HALF_A_SECOND = hs.load_scenario("paper").updated({"simulation.duration": 0.5})
 REFUSED = [
     (
         {"vary": {"uncertainty.gravty": {"uniform": [0, 1]}}},
-        'vary.uncertainty.gravty: .*did you mean "uncertainty.gravity"',
+        'vary.uncertainty.gravty: unknown key; did you mean "uncertainty.gravity"',
     ),
     (
         {"vary": {"controller.law": {"choice": [1]}}},
         "vary.controller.law: expected a numeric key, got one that is not numeric and cannot vary within a campaign; "
         "run one campaign for each value, or hs.compare with the laws",
+    ),
+    (
+        {"vary": {"simulation.start.pose": {"uniform": [-45, 45], "each": True}}},
+        "vary.simulation.start.pose: expected a rotation vector at most 2 pi long .*, which it reaches; clip it or",
     ),
     ({"vary": {"robot.payload": {"choice": [1]}}}, "expected a numeric key, got a block; name a key below it"),
     (
@@ -608,3 +612,15 @@ def test_a_machine_without_the_variant_refuses() -> None:
         remedy = f"HEXSERVO_VARIANT={variant}" if variant in available_variants() else "run it elsewhere"
         with pytest.raises(hs.VariantError, match=f"expected {variant}.*, got {chosen}; .*{remedy}"):
             PLAN.changed(variant=variant).required_variant()
+
+
+def test_a_plan_has_its_chunks_and_no_others() -> None:
+    plan = PLAN.changed(runs=7, chunk_size=3, until=None)
+    assert [plan.runs_of_chunk(index) for index in range(3)] == [(0, 3), (3, 6), (6, 7)]
+    for index in (-1, 3):
+        with pytest.raises(
+            IndexError, match=rf"^index: expected a chunk of the campaign, counted from 0, got {index}$"
+        ):
+            plan.runs_of_chunk(index)
+    with pytest.raises(ValueError, match=r"^failures: expected an integer from 0 to 5, got 6$"):
+        plan.interval(6, 5)

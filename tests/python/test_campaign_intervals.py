@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -109,6 +110,16 @@ def test_intervals_narrow_with_runs_and_widen_with_confidence() -> None:
     for k, n in [(0, 50), (3, 50), (50, 50)]:  # holding at every n costs width
         ours, fixed = anytime_interval(k, n), clopper_pearson(k, n)
         assert ours[0] <= fixed[0] <= fixed[1] <= ours[1]
+
+
+@pytest.mark.parametrize("interval", [anytime_interval, clopper_pearson])
+def test_counts_that_no_campaign_has_are_refused(interval: Callable[..., tuple[float, float]]) -> None:
+    for failures, runs, name in ((6, 5, "failures"), (-1, 5, "failures"), (0, -1, "runs")):
+        with pytest.raises(ValueError, match=rf"^{name}: expected an integer "):
+            interval(failures, runs)
+    for wrong in ((1.5, 5), (1, 5.0), (True, 5)):
+        with pytest.raises(TypeError, match=r"^(failures|runs): expected an integer, got (float|bool)$"):
+            interval(*wrong)
 
 
 def test_figures_for_no_failure_in_2_900_000_runs() -> None:

@@ -394,10 +394,10 @@ def test_construction_is_checked(paper: hs.Scenario) -> None:
         hs.Controller(slow, 0.02)
     with pytest.raises(TypeError, match="expected a Scenario"):
         hs.Controller("paper")  # type: ignore[arg-type]
-    for wrong in ("a", 1j, [0.001]):
+    for wrong in ("a", 1j, [0.001], True, np.True_):
         with pytest.raises(TypeError, match=r"^period: expected a number of seconds, got "):
             hs.Controller(paper, wrong)  # type: ignore[arg-type]
-    for times in ({"now": "a"}, {"exposure": 1j}):
+    for times in ({"now": "a"}, {"exposure": 1j}, {"now": True}, {"exposure": np.array(True)}):
         with pytest.raises(TypeError, match=r"^(now|exposure): expected a number of seconds, got "):
             hs.Controller(paper).step(np.zeros(8), -np.ones(4), **times)
     controller = hs.Controller(paper, period=5e-4)

@@ -235,6 +235,27 @@ def test_a_tag_is_its_corners(paper: hs.Scenario) -> None:
         ({"robot.platform_joints": np.ones((5, 3))}, "robot.platform_joints: expected 6x3 finite numbers"),
         ({"robot.base_joints": np.ones((6, 3)), "robot.base_radius": 0.2}, "robot.base_radius: expected null beside"),
         ({"robot.home_attitude": [0, 0, 90]}, "robot.home_attitude[2]: expected a number within +-2 pi"),
+        (
+            {"simulation.start.pose": [0, 0, 0, 0, 0, 6.3]},
+            "simulation.start.pose: expected a rotation vector at most 2 pi long (radians), got one of 6.3 (degrees?",
+        ),
+        ({"simulation.start.pose": [0, 0, 0, 4.0, -4.0, 4.0]}, "simulation.start.pose: expected a rotation vector"),
+        (
+            {"target.desired_features": None, "target.desired_pose": [0.004, 0, 0, 0, 0, 90]},
+            "target.desired_pose: expected a rotation vector at most 2 pi long (radians), got one of 90 (degrees?",
+        ),
+        (
+            {"target": {**NO_IMAGE, "tag": {"size": 0.1, "pose": [0, 0, -0.65, 0, 0, 90]}}},
+            "target.tag.pose: expected a rotation vector at most 2 pi long (radians), got one of 90 (degrees?",
+        ),
+        (
+            {"target": {**NO_IMAGE, "tag": {"size": 0.1, "pose": [0, 0, -0.65, 0, 0, "a"]}}},
+            'target.tag.pose[5]: expected a finite number, got "a"',
+        ),
+        (
+            {"target": {**NO_IMAGE, "grid": {"rows": 2, "columns": 2, "spacing": 0.05, "pose": [0, 0, 0, 0, 0, -45]}}},
+            "target.grid.pose: expected a rotation vector at most 2 pi long (radians), got one of 45 (degrees?",
+        ),
         ({"robot.gravity": -9.8}, "robot.gravity: expected a number >= 0"),
         ({"simulation.start.pose": [0, 0, -0.6, 0, 0, 0]}, "simulation.start.pose: expected a pose from which every"),
         ({"simulation.start.pose": [0.3, 0, 0, 0, 0, 0]}, ""),
@@ -353,6 +374,20 @@ def test_poses_of_the_wrong_shape_are_refused(paper: hs.Scenario) -> None:
                 function(paper, wrong)  # type: ignore[arg-type]
         with pytest.raises(ValueError, match=r"^pose: expected .*, got 1e\+308$"):
             function(paper, [1e308] * 6)
+        with pytest.raises(ValueError, match=r"^pose: expected a rotation vector at most 2 pi long .* one of 90 \(deg"):
+            function(paper, [0.0] * 5 + [90.0])
+
+
+def test_a_whole_turn_is_a_pose_and_more_is_none(paper: hs.Scenario) -> None:
+    """The bound is 2 pi, rounded up by 1e-12 of it for the lengths of vectors that are not along an axis."""
+    whole = 2.0 * np.pi * np.array([2.0, -1.0, 2.0]) / 3.0
+    for factor, within in ((1.0, True), (1.0 + 1e-9, False)):
+        change = {"simulation.start.pose": [0.0] * 3 + (factor * whole).tolist()}
+        if within:
+            paper.updated(change)
+        else:
+            with pytest.raises(hs.ScenarioError, match="at most 2 pi long"):
+                paper.updated(change)
 
 
 def test_no_poses_have_no_images(paper: hs.Scenario) -> None:

@@ -445,6 +445,9 @@ def test_targets_move_as_they_are_told(sampled: hs.Scenario, tmp_path: Path) -> 
         ),
         ({"kind": "recorded", "file": file}, spline),
     ]
+    for every in (20, 10, 5):  # 2, 3 and 5 samples: a straight line, a parabola, and two cubics
+        few = {"kind": "recorded", "samples": way[:21:every].tolist(), "sample_period": 0.02 * every}
+        motions.append((few, CubicSpline(time[:21:every], way[:21:every])))
     for motion, way_at in motions:
         scenario = sampled.updated({"target.motion": motion})
         assert hs.Scenario.from_yaml(scenario.to_yaml()) == scenario

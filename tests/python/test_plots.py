@@ -139,6 +139,20 @@ def test_anything_but_a_run_is_refused(name: str) -> None:
         getattr(public, name)(None)
 
 
+@pytest.mark.parametrize(
+    ("name", "argument"),
+    [
+        *((name, "ax") for name in ("rule_table", "feature_errors", "feature_paths")),
+        *((name, "axes") for name in ("leg_limits", "platform_motion", "control_wrench")),
+    ],
+)
+def test_anything_but_axes_is_refused(name: str, argument: str) -> None:
+    of = run().scenario if name == "rule_table" else run()
+    for wrong in (3, [3]):
+        with pytest.raises(TypeError, match=rf"^{argument}: expected axes of matplotlib( or None)?, got (int|list)$"):
+            getattr(public, name)(of, **{argument: wrong})
+
+
 def test_rule_table_shows_terms_and_numbers() -> None:
     table: list[list[Any]] = [[TERMS[max(0, min(6, row + column - 3))] for column in range(7)] for row in range(7)]
     table[1][5] = 0.25

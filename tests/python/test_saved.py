@@ -189,6 +189,16 @@ def test_what_would_not_be_read_back_is_not_written(
     assert not list(tmp_path.iterdir())
 
 
+def test_a_result_with_nan_is_neither_reported_nor_diagnosed(limited: hs.Result, tmp_path: Path) -> None:
+    damaged = dataclasses.replace(limited, feature_error=np.full_like(limited.feature_error, np.nan))
+    for use in (hs.diagnose, lambda result: hs.write_report(result, tmp_path / "report.html")):
+        with pytest.raises(
+            ValueError, match=r"^result: expected the arrays of a run, got feature_error, which has num"
+        ):
+            use(damaged)
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(hs.ResultError, match=r"none\.nc.*expected a file that can be read, got: No such file"):
         hs.load_result(tmp_path / "none.nc")

@@ -480,6 +480,9 @@ def test_changes_are_a_mapping() -> None:
             hs.load_scenario("paper", wrong)  # type: ignore[arg-type]
     with pytest.raises(TypeError, match=r"^name_or_path: expected the name of a packaged scenario or a path, got int"):
         hs.load_scenario(3)  # type: ignore[arg-type]
+    for other in (3, b"name: x"):
+        with pytest.raises(TypeError, match=r"^text: expected YAML as text .*, got (int|bytes)$"):
+            hs.Scenario.from_yaml(other)  # type: ignore[arg-type]
 
 
 def test_the_maths_has_its_say() -> None:

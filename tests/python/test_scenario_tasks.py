@@ -7,6 +7,7 @@ within 0.02 px, excursions within 1e-3 of themselves (docs/compare.md, section 4
 from __future__ import annotations
 
 import math
+import re
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ import pytest
 
 import hexservo as hs
 from hexservo import _core
+from test_docs import ROOT
 
 
 class Goal(NamedTuple):
@@ -148,23 +150,20 @@ def test_the_papers_law_does_not_settle_there(name: str) -> None:
     assert math.isnan(metrics["settling_time"])
 
 
-class Sampled(NamedTuple):
-    """Medians over 20 seeds."""
-
-    settling_time: float  # [s]
-    rms_error: float  # [px]
-
-
+# name -> median and maximum of the settling time [s], then of the RMS error [px], over 20 seeds (docs/compare.md)
 SAMPLED = {
-    "slow-camera": Sampled(0.594, 0.102),
-    "noisy-camera": Sampled(0.518, 0.089),
-    "dropouts": Sampled(0.609, 0.253),
-    "rough-road": Sampled(0.575, 0.496),
-    "saturation": Sampled(0.538, 0.057),
-    "real-machine": Sampled(0.579, 0.074),
-    "hand-eye": Sampled(0.576, 0.085),
-    "eye-to-hand": Sampled(0.471, 0.259),
+    row[0]: np.array(row[1:], dtype=float).reshape(2, 2)
+    for row in re.findall(
+        r"^\| `([a-z-]+)` \| .* \| ([\d.]+) s \(([\d.]+)\) \| ([\d.]+) px \(([\d.]+)\) \|$",
+        (ROOT / "docs" / "compare.md").read_text(encoding="utf-8"),
+        re.MULTILINE,
+    )
 }
+LAST_DIGIT = 1e-3  # [s; px], of the page: a time is a tick of 1 ms, and a median may lie between two of them
+
+
+def test_the_page_has_all_machines_as_they_are_built() -> None:
+    assert len(SAMPLED) == 8
 
 
 @pytest.mark.parametrize("name", SAMPLED)
@@ -172,10 +171,11 @@ def test_machines_as_they_are_built_settle(name: str) -> None:
     scenario, expected = hs.load_scenario(name), SAMPLED[name]
     batch = hs.simulate_batch(scenario, {"seed": np.arange(20)}, log="metrics")
     assert (batch.outcome == "completed").all()
-    settling_time, rms = (np.median(batch.metrics[key]) for key in ("settling_time", "rms_error"))
-    # A frame sooner or later decides when the last feature stays inside; 20 numbers estimate a median to some percent.
-    assert settling_time == pytest.approx(expected.settling_time, rel=0.03, abs=0.005)
-    assert rms == pytest.approx(expected.rms_error, rel=0.1)
+    values = np.array([batch.metrics[key] for key in ("settling_time", "rms_error")])
+    found = np.stack([np.median(values, axis=1), values.max(axis=1)], axis=1)
+    # Rounding changes the samples that encoders of 0.1 um round otherwise, and with them an RMS error.
+    tolerance = 0.1 * expected if name == "real-machine" else 0.501 * LAST_DIGIT
+    np.testing.assert_array_less(np.abs(found - expected), np.broadcast_to(tolerance, (2, 2)))
     assert batch.metrics["peak_leg_excursion"].max() < scenario.robot.stroke
     if scenario.actuators.saturation:
         assert batch.metrics["peak_leg_force"].max() <= scenario.robot.force_limit

@@ -10,6 +10,8 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import betaincinv, betaln
 
+from hexservo.scenario.wording import whole_number
+
 
 @dataclass(frozen=True)
 class Mixture:
@@ -22,6 +24,10 @@ class Mixture:
 JEFFREYS = Mixture(0.5, 0.5)
 RARE = Mixture(0.1, 1e4)
 """For failures that are expected once in 1e5 runs or less: narrower there, wider elsewhere."""
+
+_STEPS = tuple(
+    2.0**power for power in range(64)
+)  # from the share of failures to beyond an end of the interval, in logit
 
 
 def anytime_interval(
@@ -49,7 +55,15 @@ def anytime_interval(
     -------
     tuple of float
         Lower and upper end; (0, 1) without runs.
+
+    Raises
+    ------
+    TypeError
+        For counts that are no integers.
+    ValueError
+        Unless 0 <= failures <= runs.
     """
+    _require_counts(failures, runs)
     if runs == 0:
         return 0.0, 1.0
     most = -math.log1p(-confidence)
@@ -62,9 +76,7 @@ def anytime_interval(
     def end(direction: float) -> float:
         share = min(max(failures / runs, 1e-300), 1 - 1e-16)
         start = math.log(share) - math.log1p(-share)
-        step = 1.0
-        while excess(start + direction * step) < 0:
-            step *= 2
+        step = next(step for step in _STEPS if excess(start + direction * step) >= 0)
         found = brentq(excess, start, start + direction * step, xtol=1e-12, rtol=1e-14)
         return float(1.0 / (1.0 + math.exp(-found))) if found > -700 else 0.0
 
@@ -75,13 +87,25 @@ def clopper_pearson(failures: int, runs: int, confidence: float = 0.95) -> tuple
     """Return the interval of Clopper and Pearson (1934) for the failure probability, (1 - confidence)/2 on each side.
 
     It holds for a number of runs that was fixed before the first one, and for no other.
+
+    Raises
+    ------
+    TypeError
+        For counts that are no integers.
+    ValueError
+        Unless 0 <= failures <= runs.
     """
+    _require_counts(failures, runs)
     if runs == 0:
         return 0.0, 1.0
     tail = (1.0 - confidence) / 2
     low = 0.0 if failures == 0 else float(betaincinv(failures, runs - failures + 1, tail))
     high = 1.0 if failures == runs else float(betaincinv(failures + 1, runs - failures, 1 - tail))
     return low, high
+
+
+def _require_counts(failures: int, runs: int) -> None:
+    whole_number("failures", failures, 0, whole_number("runs", runs, 0))
 
 
 def runs_for_bound(probability: float, failures: int, confidence: float, mixture: Mixture) -> int:

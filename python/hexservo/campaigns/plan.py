@@ -32,11 +32,12 @@ from hexservo.campaigns.file_keys import (
 )
 from hexservo.campaigns.intervals import JEFFREYS, RARE, Mixture, anytime_interval
 from hexservo.campaigns.requirements import Requirement
-from hexservo.campaigns.tune_keys import TunePlan, TuneRule, Variable
+from hexservo.campaigns.tune_keys import TunePlan, TuneRule
+from hexservo.campaigns.unfit import unfit, unfit_variable
 from hexservo.findings.check import needed_by
 from hexservo.run.metrics import OF_LIMITS, asked_metrics
 from hexservo.run.variant import ENVIRONMENT_VARIABLE, VariantError, available_variants, chosen_kernel
-from hexservo.run.variations import changes_of_run, checked_variations, known_key
+from hexservo.run.variations import changes_of_run, checked_variations
 from hexservo.scenario.block import Block
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.noise import is_random
@@ -53,7 +54,6 @@ MOST_LOG_EVERY = 10**9  # that a scenario may have
 _DURATION, _DWELL = "simulation.duration", "metrics.dwell"
 _OF_TIMES = {"rms_error": "metrics.rms_start", "settling_time": _DWELL}  # metrics of runs that are long enough
 _ROUNDING = 1e-9  # of a bound that is the last time at which a run can settle
-_CHOSEN = "controller"  # the block whose keys a search for gains may choose
 _MOST_CORNERS = 10  # numbers that vary; each doubles the corners
 
 
@@ -98,7 +98,7 @@ class CampaignPlan(Block):
         problems: list[Problem] = [
             (("vary", key), sentence)
             for key, variation in self.vary.items()
-            if (sentence := _unfit(self.scenario, key, variation))
+            if (sentence := unfit(self.scenario, key, variation))
         ]
         both = [key for key in ("target.initial_features", "target.depth", "target.points") if key in self.vary]
         if both and any(key in self.vary for key in PLACED):
@@ -119,7 +119,7 @@ class CampaignPlan(Block):
             problems += [
                 (("tune", "variables", key), sentence)
                 for key, variable in self.tune.variables.items()
-                if (sentence := _unfit_variable(self.scenario, key, variable, self.vary))
+                if (sentence := unfit_variable(self.scenario, key, variable, self.vary))
             ]
         problems += [(place, sentence) for place, name in asked if (sentence := _without_value(self, name))]
         problems = problems or list(_without_effect(self)) or list(_without_start(self))
@@ -211,7 +211,15 @@ class CampaignPlan(Block):
         return None if self.runs is None else -(-self.runs // self.chunk_size)
 
     def runs_of_chunk(self, index: int) -> tuple[int, int]:
-        """Return the first run of a chunk, and the one after its last."""
+        """Return the first run of a chunk, and the one after its last.
+
+        Raises
+        ------
+        IndexError
+            For a chunk that the campaign does not have.
+        """
+        if index < 0 or (self.chunk_count is not None and index >= self.chunk_count):
+            raise IndexError(f"index: expected a chunk of the campaign, counted from 0, got {index}")
         first = index * self.chunk_size
         last = first + self.chunk_size
         return first, last if self.runs is None else min(last, self.runs)
@@ -222,7 +230,15 @@ class CampaignPlan(Block):
         return RARE if self.rare else JEFFREYS
 
     def interval(self, failures: int, runs: int) -> tuple[float, float]:
-        """Return the interval of a failure probability, which holds at any stop (docs/campaigns.md, section 5)."""
+        """Return the interval of a failure probability, which holds at any stop (docs/campaigns.md, section 5).
+
+        Raises
+        ------
+        TypeError
+            For counts that are no integers.
+        ValueError
+            Unless 0 <= failures <= runs.
+        """
         return anytime_interval(failures, runs, self.confidence, self.mixture)
 
     def required_variant(self) -> str:
@@ -241,35 +257,6 @@ class CampaignPlan(Block):
                 remedy = f"this machine has {', '.join(available_variants())}: run it elsewhere, or in a new folder"
             raise VariantError(f"variant: expected {self.variant}, that of the campaign, got {chosen}; {remedy}")
         return chosen
-
-
-def _unfit(scenario: Scenario, key: str, variation: Variation) -> str:
-    """Return why a variation does not fit a key of the scenario; empty if it does."""
-    if key in PLACED:
-        return _unfit_place(scenario, variation)
-    try:
-        rule = known_key(key, scenario.controller.law, scenario.target.count, run="campaign")
-    except ValueError as error:
-        return str(error).partition(": ")[2]
-    if variation.kind == SEED:
-        return ""
-    if rule.whole and variation.kind != "choice":
-        return f"expected {{choice: [...]}} of integers, got {variation.kind}"
-    present = value_at(scenario, key)
-    if variation.add and (present is None or isinstance(present, str)):
-        return f"add: expected a scenario whose value is a number, got {shown_value(present)}"
-    if variation.each and rule.shapes == ((),):
-        return "each: expected a key that holds an array, got one that holds a number"
-    if variation.symmetric and not any(len(shape) == 2 and shape[0] == shape[1] for shape in rule.shapes):
-        return "symmetric: expected a key that holds a square matrix, got one that does not"
-    base = np.asarray(present, dtype=float) if variation.add else np.zeros(1)
-    if variation.kind == "choice" and not rule.within(np.add.outer(variation.parameters, base)).all():
-        return f"choice: expected {rule.expected}, got {list(variation.parameters)}"
-    low, high = variation.reach
-    reached = np.array([low + base.min(), high + base.max()])
-    if not (rule.whole or rule.within(reached).all()):
-        return f"expected {rule.expected}, but it reaches {reached[0]:.4g} ... {reached[1]:.4g}; clip it or narrow it"
-    return ""
 
 
 def _without_effect(plan: CampaignPlan) -> Iterator[Problem]:
@@ -341,33 +328,6 @@ def _reach(plan: CampaignPlan, key: str) -> tuple[float, float]:
     variation = plan.vary[key]
     low, high = variation.reach
     return (low + present, high + present) if variation.add else (low, high)
-
-
-def _unfit_variable(scenario: Scenario, key: str, variable: Variable, vary: Mapping[str, Variation]) -> str:
-    """Return why a variable does not fit a key of the scenario; empty if it does."""
-    if key in vary:
-        return "expected a key that vary does not have, got one that it has"
-    if problem := _unfit(scenario, key, variable.variation):
-        return problem
-    if not key.startswith(f"{_CHOSEN}."):
-        return f"expected a gain, that is a key of {_CHOSEN}, got a key of {key.partition('.')[0]}"
-    shapes = known_key(key, scenario.controller.law, scenario.target.count).shapes
-    if variable.groups == (0,):
-        return "" if () in shapes else "expected groups: the key takes an array alone"
-    entries = max(shapes, key=len)
-    if len(entries) != 1 or sum(variable.groups) != entries[0]:
-        size = f"{entries[0]} entries" if len(entries) == 1 else "no list"
-        return f"groups: expected sizes that add up to those of the key ({size}), got {list(variable.groups)}"
-    return ""
-
-
-def _unfit_place(scenario: Scenario, variation: Variation) -> str:
-    """Return why a variation cannot displace the target of a scenario; empty if it can."""
-    if scenario.camera.convention != "eye_in_hand":
-        return "expected a scenario with camera.convention eye_in_hand, whose target has points in space"
-    if variation.add or variation.symmetric:
-        return "expected neither add nor symmetric for a displacement"
-    return ""
 
 
 # ---- Campaigns by name or path --------------------------------------------------------------------------------------

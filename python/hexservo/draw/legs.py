@@ -52,7 +52,7 @@ def leg_limits(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | None = N
     Raises
     ------
     TypeError
-        For anything but a `Result`.
+        For anything but a `Result`, and for axes that are none.
     ValueError
         For any other number of axes.
     """

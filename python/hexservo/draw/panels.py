@@ -7,6 +7,7 @@ from itertools import combinations
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.markers import MarkerStyle
@@ -19,10 +20,9 @@ from hexservo.run.metrics import metrics
 from hexservo.run.samples import axis_range, broken_parts, extreme_samples, moving_mean, time_range
 from hexservo.run.time_panels import TimePanel
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.wording import wrong_type
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
     from hexservo.run.result import Result
 
 __all__ = []
@@ -37,11 +37,26 @@ class Panel(NamedTuple):
 
 
 def given_axes(axes: Sequence[Axes] | NDArray[Any], count: int) -> tuple[Axes, ...]:
-    """Check the number of the caller's axes, which may be an array as `matplotlib.pyplot.subplots` returns."""
+    """Check the caller's axes and their number; they may be an array as `matplotlib.pyplot.subplots` returns."""
     found = tuple(np.ravel(np.asarray(axes, dtype=object)))
+    for one in found:
+        if not isinstance(one, Axes):
+            raise wrong_type("axes", "axes of matplotlib", one)
     if len(found) != count:
         raise ValueError(f"axes: expected {count} axes, got {len(found)}")
     return found
+
+
+def require_axes(ax: object) -> None:
+    """Refuse what is neither axes to draw into nor None.
+
+    Raises
+    ------
+    TypeError
+        "ax: expected axes of matplotlib or None, got list".
+    """
+    if ax is not None and not isinstance(ax, Axes):
+        raise wrong_type("ax", "axes of matplotlib or None", ax)
 
 
 def whole_run(axes: Axes, result: Result, values: Sequence[Array]) -> list[Panel]:

@@ -36,6 +36,7 @@ from hexservo.draw.panels import (
     label_ends,
     note_outcome,
     point_the_way,
+    require_axes,
     set_limits,
     whole_run,
 )
@@ -119,11 +120,12 @@ def rule_table(scenario: Scenario, *, ax: Axes | None = None) -> Figure | Axes:
     Raises
     ------
     TypeError
-        For anything but a `Scenario`.
+        For anything but a `Scenario`, and for axes that are none.
     ValueError
         For a law without fuzzy systems.
     """
     require_scenario(scenario)
+    require_axes(ax)
     law = scenario.controller.law
     if not _core.LAW_TRAITS[law].memory:
         raise ValueError(f"controller.law: expected one with fuzzy systems, got {law}")
@@ -184,9 +186,10 @@ def feature_errors(result: Result, *, ax: Axes | None = None) -> Figure | Axes:
     Raises
     ------
     TypeError
-        For anything but a `Result`.
+        For anything but a `Result`, and for axes that are none.
     """
     require_result(result)
+    require_axes(ax)
     band = result.scenario.metrics.band
     points = result.scenario.target.count
     names, inks = feature_names(points), _inks_of_points(points)
@@ -252,9 +255,10 @@ def feature_paths(result: Result, *, ax: Axes | None = None) -> Figure | Axes:
     Raises
     ------
     TypeError
-        For anything but a `Result`.
+        For anything but a `Result`, and for axes that are none.
     """
     require_result(result)
+    require_axes(ax)
     views = image_views(result)
     if ax is not None:
         _draw_paths(ax, result, views[0])
@@ -313,7 +317,7 @@ def platform_motion(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | Non
     Raises
     ------
     TypeError
-        For anything but a `Result`.
+        For anything but a `Result`, and for axes that are none.
     ValueError
         For any other number of axes.
     """

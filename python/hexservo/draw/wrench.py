@@ -54,7 +54,7 @@ def control_wrench(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | None
     Raises
     ------
     TypeError
-        For anything but a `Result`.
+        For anything but a `Result`, and for axes that are none.
     ValueError
         For any other number of axes.
     """

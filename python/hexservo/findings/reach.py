@@ -14,6 +14,7 @@ from hexservo.findings.nearest import distance, nearest_within
 from hexservo.scenario.arrays import Array, real_numbers
 from hexservo.scenario.fields import described
 from hexservo.scenario.pixels import to_pixels
+from hexservo.scenario.pose_rules import problem_of_turns
 from hexservo.scenario.scenario import Scenario, require_scenario
 
 _LARGEST = 1e6  # [m; rad], of a displacement: squares of much larger ones have no value
@@ -79,7 +80,8 @@ def project(scenario: Scenario, pose: ArrayLike) -> Array:
     TypeError
         For anything but a `Scenario`.
     ValueError
-        For poses that are not six finite numbers within 1e6 each, and for a camera `as_printed`, which has no points.
+        For poses that are not six finite numbers within 1e6 each with a rotation vector at most 2 pi long, and for a
+        camera `as_printed`, which has no points.
     """
     require_scenario(scenario)
     moves = _displacements(pose, (...,))
@@ -111,7 +113,7 @@ def reachable(scenario: Scenario, pose: ArrayLike) -> Reachability:
     TypeError
         For anything but a `Scenario`.
     ValueError
-        For a pose that is not six finite numbers within 1e6.
+        For a pose that is not six finite numbers within 1e6 with a rotation vector at most 2 pi long.
     """
     require_scenario(scenario)
     wanted = _displacements(pose, ())
@@ -148,6 +150,8 @@ def _displacements(pose: ArrayLike, lead: tuple[object, ...]) -> Array:
         got = f"shape {moves.shape} with numbers that are not finite"
     elif moves.size and (largest := float(np.abs(moves).max())) > _LARGEST:
         got = f"{largest:.6g}"
+    elif (problem := problem_of_turns(moves)) is not None:
+        raise ValueError(f"pose: {problem}")
     else:
         return moves
     shape = "(..., 6)" if lead else "6"

@@ -40,13 +40,17 @@ def write_report(result: Result, path: str | os.PathLike[str], *, force: bool = 
         On Ctrl-C, also during a simulation.
     TypeError
         For anything but a `Result`.
+    ValueError
+        An array has numbers that no run has, such as NaN.
     OutputError
         The file exists, is not a report, or cannot be written; its name has an ending other than .html and .htm.
     """
     from hexservo.report.page import page
     from hexservo.run.result import require_result
+    from hexservo.run.saving import require_arrays
 
     require_result(result)
+    require_arrays(result)
     check_report(path, force=force)  # before the work
     write_file(page(result), path, TITLE, _AUTHOR, force=force)
 

@@ -255,10 +255,10 @@ def _takes_positions(settings: Settings) -> bool:
 
 
 def _seconds(name: str, given: object) -> float:
-    """Return one real number."""
+    """Return one real number; a boolean is none."""
     if isinstance(given, float):  # of every tick
         return given
     number = real_numbers(given)
-    if number is None or number.ndim:
+    if number is None or number.ndim or np.asarray(given).dtype.kind == "b":
         raise wrong_type(name, "a number of seconds", given)
     return float(number)

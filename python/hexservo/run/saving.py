@@ -41,10 +41,21 @@ def result_bytes(result: Result) -> memoryview:
     ValueError
         For arrays that no run has, which `load_result` refuses.
     """
-    dataset = result.to_xarray()
-    if problem := problem_of_values({name: dataset[str(name)].values for name in ("time", *dataset.data_vars)}):
-        raise ValueError(f"result: expected the arrays of a run, got {problem}; save what hs.simulate returned")
-    return sealed_bytes(dataset)
+    require_arrays(result)
+    return sealed_bytes(result.to_xarray())
+
+
+def require_arrays(result: Result) -> None:
+    """Refuse a result in whose arrays someone wrote what no run has.
+
+    Raises
+    ------
+    ValueError
+        "result: expected the arrays of a run, got twist, which has numbers that are not finite; ...".
+    """
+    arrays = {name: value for name, value in vars(result).items() if isinstance(value, np.ndarray)}
+    if problem := problem_of_values(arrays):
+        raise ValueError(f"result: expected the arrays of a run, got {problem}; use what hs.simulate returned")
 
 
 def problem_of_values(arrays: Mapping[Any, Array]) -> str | None:

@@ -24,6 +24,7 @@ from hexservo.scenario.keys import MAX_WHOLE_FLOAT, NumericKey, all_paths, numer
 from hexservo.scenario.laws import ALL_LAWS
 from hexservo.scenario.leg_units import unit_of, unit_of_entry
 from hexservo.scenario.parameters import units_of_keys
+from hexservo.scenario.pose_rules import problem_of_turns, turns_of
 from hexservo.scenario.rules import did_you_mean
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import wrong_type
@@ -123,7 +124,8 @@ def known_key(key: object, law: str, points: int = 4, *, run: str = "batch") -> 
     Raises
     ------
     ValueError
-        "key: expected a numeric key, got ...", for any other key, a block, or a key of another law.
+        "key: unknown key; ...", or "key: expected a numeric key, got ..." for a key that is not numeric, a block, or a
+        key of another law.
     """
     known = numeric_keys(law, points)
     if isinstance(key, str) and key in known:
@@ -134,10 +136,10 @@ def known_key(key: object, law: str, points: int = 4, *, run: str = "batch") -> 
         raise ValueError(f"{key}: expected a key of the scenario's law, {law}, got a key of a different law")
     if below:
         raise ValueError(f"{key}: expected a numeric key, got a block; name a key below it, such as {below[0]}")
-    if isinstance(key, str) and key in all_paths(Blocks):
-        hint = f"; run one {run} for each value" + (", or hs.compare with the laws" if key == "controller.law" else "")
-    else:
-        hint = did_you_mean(key, known)
+    if not isinstance(key, str) or key not in all_paths(Blocks):
+        hint = did_you_mean(key, known) or "; `hexservo schema` lists the keys of a scenario"
+        raise ValueError(f"{key}: unknown key{hint}")
+    hint = f"; run one {run} for each value" + (", or hs.compare with the laws" if key == "controller.law" else "")
     raise ValueError(f"{key}: expected a numeric key, got one that is not numeric and cannot vary within a {run}{hint}")
 
 
@@ -168,6 +170,8 @@ def _array(key: str, rule: NumericKey, given: ArrayLike) -> NDArray[Any]:
         rounded = rule.whole and values.dtype.kind == "f" and abs(values[place]) > MAX_WHOLE_FLOAT
         got = f"the float {float(values[place])!r}, which may have been rounded" if rounded else f"{values[place]:.12g}"
         raise ValueError(f"{scenario}{key}{entry}: expected {rule.expected}, got {got}")
+    if rule.pose and (problem := problem_of_turns(values)) is not None:
+        raise ValueError(f"scenario {int(np.argmax(turns_of(values)))}: {key}: {problem}")
     numbers = values.astype(rule.dtype)
     if rule.symmetric and numbers.ndim == 3:
         numbers = _symmetric(key, numbers)

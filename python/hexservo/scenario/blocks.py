@@ -29,12 +29,12 @@ from hexservo.scenario.drives import Actuators
 from hexservo.scenario.laws import Controller
 from hexservo.scenario.motion import BaseMotion, TargetMotion
 from hexservo.scenario.plain import plain
+from hexservo.scenario.pose_rules import DisplacementRule, PoseRule
 from hexservo.scenario.presets import MACHINES, ROBOT_PRESETS, machine
 from hexservo.scenario.rules import (
     Angle,
     ArrayRule,
     Choice,
-    DisplacementRule,
     Flag,
     GravityRule,
     Inertia,
@@ -401,7 +401,7 @@ class Start(Block):
     """How a run starts; docs/model.md section 7. The defaults are home, at rest."""
 
     # (6,) [m; rad], displacement from home, in B: difference of the positions, rotation vector
-    pose: Annotated[Vector, ArrayRule((6,))] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    pose: Annotated[Vector, PoseRule()] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     twist: Annotated[Vector, ArrayRule((6,))] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # (6,) [m/s; rad/s], in B
 
 

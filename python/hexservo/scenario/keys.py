@@ -17,6 +17,7 @@ from hexservo.scenario.arrays import Mask
 from hexservo.scenario.block import SAMPLED, SAMPLED_MODE
 from hexservo.scenario.blocks import Blocks
 from hexservo.scenario.laws import ALL_LAWS
+from hexservo.scenario.pose_rules import PoseRule
 from hexservo.scenario.rules import ArrayRule, Inertia, Integer, Number, PointsRule, Rule, TableRule
 
 __all__ = [
@@ -41,6 +42,7 @@ class NumericKey:
     element: Number
     whole: bool = False  # only integers
     symmetric: bool = False  # where it is a matrix
+    pose: bool = False  # the last three of six are a rotation vector
 
     @property
     def expected(self) -> str:
@@ -92,7 +94,8 @@ def numeric_keys(law: str, points: int = 4) -> dict[str, NumericKey]:
             shape = rule.shape_for(points)
             keys[path] = NumericKey(((), shape) if rule.or_number else (shape,), rule.element)
         elif isinstance(rule, ArrayRule):
-            keys[path] = NumericKey(((), rule.shape) if rule.or_number else (rule.shape,), rule.element)
+            shapes = ((), rule.shape) if rule.or_number else (rule.shape,)
+            keys[path] = NumericKey(shapes, rule.element, pose=isinstance(rule, PoseRule))
         elif isinstance(rule, Inertia):
             keys[path] = NumericKey(((3,), (3, 3)), Number(), symmetric=True)
         elif isinstance(rule, TableRule):

@@ -210,19 +210,6 @@ class GravityRule(ArrayRule):
         return cast("Vector", super().accept(value))
 
 
-class DisplacementRule(Rule):
-    """A pose as its displacement from another, or null; it is read into other keys, and so does not vary in a batch."""
-
-    expected = "6 finite numbers (m x3, rad x3) or null"
-
-    def accept(self, value: Any) -> Vector | None:
-        if value is None:
-            return None
-        if not isinstance(value, list):
-            self.refuse(value)
-        return cast("Vector", _tuples(value, (6,), Number().accept, self.expected))
-
-
 class Inertia(Rule):
     """A symmetric 3x3 matrix; its diagonal where the rest is zero."""
 

@@ -99,9 +99,13 @@ class Scenario(Blocks):
 
         Raises
         ------
+        TypeError
+            For anything but text.
         ScenarioError
             With one line for each problem.
         """
+        if not isinstance(text, str):
+            raise wrong_type("text", "YAML as text (see hs.load_scenario for files)", text)
         return Document(load_yaml(text, source), source).scenario()
 
     def updated(self, changes: Mapping[str, Any]) -> Scenario:

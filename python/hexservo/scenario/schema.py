@@ -17,7 +17,8 @@ from hexservo.scenario.fields import meanings_of
 from hexservo.scenario.flat import is_none
 from hexservo.scenario.keys import default_of_field, leaves
 from hexservo.scenario.parameters import choice_in_file
-from hexservo.scenario.rules import ArrayRule, Choice, DisplacementRule, Number, Rule
+from hexservo.scenario.pose_rules import DisplacementRule
+from hexservo.scenario.rules import ArrayRule, Choice, Number, Rule
 from hexservo.scenario.tag import GridRule, TagRule
 
 

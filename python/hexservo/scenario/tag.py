@@ -6,19 +6,11 @@ import math
 from typing import Any, TypeAlias, TypeGuard
 
 import numpy as np
+from pydantic import ValidationError
 
 from hexservo import _core
-from hexservo.scenario.rules import (
-    MOST_POINTS,
-    DisplacementRule,
-    Integer,
-    Matrix,
-    Number,
-    Rule,
-    Vector,
-    refusal,
-    shown_value,
-)
+from hexservo.scenario.pose_rules import PoseRule
+from hexservo.scenario.rules import MOST_POINTS, Integer, Matrix, Number, Rule, Vector, refusal
 
 __all__ = ["Grid", "Tag", "rotation_matrix"]
 
@@ -70,10 +62,10 @@ class GridRule(Rule):
 
 
 def _pose(value: Any) -> Vector:
-    pose = DisplacementRule().accept(value)
-    if pose is None:
-        raise refusal((("pose",), f"expected 6 finite numbers (m x3, rad x3), got {shown_value(None)}"))
-    return pose
+    try:
+        return PoseRule().accept(value)
+    except ValidationError as error:
+        raise refusal(*((("pose", *problem["loc"]), problem["msg"]) for problem in error.errors())) from None
 
 
 def require_counts(target: dict[str, Any]) -> None:

@@ -16,6 +16,7 @@ from hexservo.scenario import keys
 from hexservo.scenario import rules as kinds
 from hexservo.scenario.laws import ALL_LAWS, LAWS
 from hexservo.scenario.plain import plain as as_plain
+from hexservo.scenario.pose_rules import DisplacementRule
 from hexservo.scenario.tag import GridRule, TagRule
 
 __all__ = ["Drawn", "draw", "inclusive_bounds", "rules"]
@@ -342,7 +343,7 @@ def _value(random: Generator, key: str, current: Any) -> Any:
         return _one(random, TEXTS)
     if isinstance(rule, kinds.LineRule):
         return _one(random, LINES)
-    if isinstance(rule, kinds.DisplacementRule):
+    if isinstance(rule, DisplacementRule):
         return _one(random, [None, (0.02 * random.normal(size=6)).tolist()])
     if isinstance(rule, TagRule):
         pose = [*(0.05 * random.normal(size=2)), -0.65, *(0.5 * random.normal(size=3))]

@@ -18,6 +18,7 @@ from hexservo.scenario.fields import described
 from hexservo.scenario.motion import moves
 from hexservo.scenario.pixels import WRONG_CAMERA, has_camera_wrong
 from hexservo.scenario.scenario import Scenario, require_scenario
+from hexservo.scenario.wording import several_names, wrong_type
 
 __all__ = ["PARTS", "Analysis", "NotComputed", "analyse"]
 
@@ -113,14 +114,16 @@ def analyse(
     KeyboardInterrupt
         On Ctrl-C, also while something runs.
     TypeError
-        For anything but a `Scenario`.
+        For anything but a `Scenario`, names of parts, and a function.
     ValueError
-        For parts that there are not.
+        For parts that there are not, and for one text in place of a list.
     """
     require_scenario(scenario)
     if isinstance(parts, str):
         raise ValueError(f"parts: expected a list of names, got the text {parts!r}; write [{parts!r}]")
-    asked = list(PARTS) if parts is None else list(parts)
+    asked = list(PARTS) if parts is None else several_names("parts", parts, "a list of names, or None")
+    if progress is not None and not callable(progress):
+        raise wrong_type("progress", "a function or None", progress)
     if unknown := [part for part in asked if part not in PARTS]:
         raise ValueError(f"parts: expected some of {', '.join(PARTS)}, got {', '.join(map(repr, unknown))}")
     found = {}
