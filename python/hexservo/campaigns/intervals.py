@@ -25,9 +25,8 @@ JEFFREYS = Mixture(0.5, 0.5)
 RARE = Mixture(0.1, 1e4)
 """For failures that are expected once in 1e5 runs or less: narrower there, wider elsewhere."""
 
-_STEPS = tuple(
-    2.0**power for power in range(64)
-)  # from the share of failures to beyond an end of the interval, in logit
+# From the share of failures to beyond an end of the interval, in logit.
+_STEPS = tuple(2.0**power for power in range(64))
 
 
 def anytime_interval(
