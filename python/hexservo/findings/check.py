@@ -47,7 +47,7 @@ def unlikely(scenario: Scenario, *, by_law: bool = True) -> list[str]:
     goal with stroke, joint limits and image, the start's twist with the speed limit, the principal point with the
     image, the points of the target with the noise (`of_points`), times of the camera and of the metrics with the
     duration, the motions of base and target with what machines do (`of_motion`), the period of frames with what finds
-    an unknown latency, the gate with the target's motion (`of_gate`), where a target goes with reach, image and frames
+    an unknown latency, the gate with the target's motion (`of_gate`), the way of a target with reach, image and frames
     (`of_target`), the machine with what is built (`of_machine`), and in sampled mode the servo period with the loop of
     the gains, linearised at home with the switching term as in `linear_law`; gains with duration, servo rate, delays,
     forces and noise (`of_gains`). Gains with which numbers of that loop overflow have a sentence that names it.
