@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from hexservo.findings.analysis.scene import Scene
+from hexservo.findings.check_target import displacements_of
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.motion import TargetMotion
 from hexservo.scenario.parameters import frame_period
@@ -50,7 +51,6 @@ def moved_between_frames(motion: TargetMotion, period: float) -> Array:
         return share * np.array([motion.amplitude], dtype=float)
     if motion.kind == "recorded" and motion.samples is not None and motion.sample_period is not None:
         samples = np.asarray(motion.samples, dtype=float)
-        time = motion.sample_period * np.arange(len(samples))
-        later = np.column_stack([np.interp(time + period, time, column) for column in samples.T])
-        return np.asarray(later - samples)
+        time: Array = motion.sample_period * np.arange(len(samples), dtype=float)
+        return np.asarray(displacements_of(motion, time + period) - samples)
     return np.zeros((0, 3))
