@@ -412,6 +412,22 @@ def test_a_filter_of_the_target_that_is_fitted_is_ordinary(name: str) -> None:
     assert keys <= unusual(farther.updated({"controller.tracking": {"acceleration": 1e-3, "speed": 1e-3}}))
 
 
+def test_a_filter_that_takes_a_slow_target_for_one_at_rest_is_named_before_its_motion() -> None:
+    """A hundred times the noise of the features hides 1 mm/s; with its velocity counted the target is followed."""
+    scenario = hs.load_scenario("pi-h824-positions").updated(
+        {
+            "target.motion": {"kind": "velocity", "velocity": [0.001, 0.0, 0.0]},
+            "controller.tracking": {"noise": 10.0, "certainty": 20.0},
+        }
+    )
+    diagnosis = hs.diagnose(hs.simulate(scenario))
+    assert [finding.cause for finding in diagnosis.named] == ["target_filter"]
+    (remedy,) = [finding.remedy for finding in diagnosis.named]
+    assert remedy is not None
+    assert remedy.works
+    assert "target.motion.kind" not in remedy.changes
+
+
 def test_settings_of_a_law_that_suit_another_mass_are_ordinary() -> None:
     """To rounding: 0.9 kg is no power of two times the mass of the defaults."""
     scenario = hs.load_scenario("fails-spring").updated({"controller.law": "hybrid"})

@@ -57,6 +57,19 @@ def _matched(case: Case) -> Mapping[str, Any]:
     return {**usual, f"{_BLOCK}.noise": max(feature_noise(case.scenario.camera), _LEAST_NOISE)}
 
 
+def _at_once(case: Case) -> Mapping[str, Any]:
+    """Return the settings of `_matched` with a velocity that counts however uncertain it is."""
+    return {**_matched(case), f"{_BLOCK}.certainty": 0.0}
+
+
+def _filters(case: Case) -> list[Removal]:
+    words = "the filter of the target at its defaults for the target's distance, and the noise that the features have"
+    return [
+        *_of_the_law(_matched, words)(case),
+        *_of_the_law(_at_once, f"{words}, with every velocity counted (certainty 0)")(case),
+    ]
+
+
 def _within_margins(case: Case) -> Mapping[str, Any]:
     """Return feedback and integral of at most half their margins, that of the integral with this feedback."""
     own = {name: value_at(case.scenario, f"{_BLOCK}.{name}") for name in ("feedback", "integral")}
@@ -79,7 +92,7 @@ def legs_within_margins(case: Case) -> Mapping[str, Any]:
 
 def well_set(case: Case) -> Mapping[str, Any]:
     """Return the settings of the law that suit legs and features; {} with another law, which has no such settings."""
-    return {**_matched(case), **_led(case)} if case.scenario.controller.law == _LAW else {}
+    return {**_at_once(case), **_led(case)} if case.scenario.controller.law == _LAW else {}
 
 
 def _pose(case: Case) -> Mapping[str, Any]:
@@ -100,12 +113,13 @@ def _cause(
 
 TRACKING: tuple[Cause, ...] = (
     _cause("lag_not_led", "a lag of the legs that is not led", ("lead",), _led, "the lag of the legs led in full"),
-    _cause(
+    Cause(
         "target_filter",
         "a filter of the target that does not suit its motion",
-        _FILTER,
-        _matched,
-        "the filter of the target at its defaults for the target's distance, and the noise that the features have",
+        frozenset(f"LAW.{name}" for name in _FILTER),
+        _filters,
+        alone=_alone(_at_once, ()),
+        kind="law",
     ),
     _cause("direction_alone", "a law that follows a direction alone", ("follow",), _pose, "the pose followed"),
     _cause(
