@@ -134,7 +134,7 @@ def test_a_run_without_best_weights_has_no_verdict(paper: hs.Scenario, monkeypat
             {"uncertainty.gravity": [0.0]},
             "simulation.mode: expected continuous",
         ),
-        ({}, {"uncertainty.gravit": [0.0]}, "uncertainty.gravit: expected a numeric key"),
+        ({}, {"uncertainty.gravit": [0.0]}, "uncertainty.gravit: unknown key"),
         ({}, {}, "variations: expected at least one key"),
     ],
 )

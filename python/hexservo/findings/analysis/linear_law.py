@@ -106,6 +106,10 @@ class _Tick:
     def _believed(self, pose: Poses) -> Array:
         """Back-project the image of a pose with the controller's depths and camera: the assumed points, (p, 3)."""
         features, depth = _core.take_image(self.camera, pose.position, pose.quaternion, self.points)
+        if not np.isfinite(features).all():
+            raise NotFiniteError(
+                "target: expected an image of numbers where the loop rests, got one that is not finite"
+            )
         return _core.lift(self.assumed_camera, pose.position, pose.quaternion, features, depth * self.depth_scale)
 
     def image(self, frame: Array, pose: Poses) -> tuple[Array, Array]:
