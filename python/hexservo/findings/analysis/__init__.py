@@ -142,24 +142,16 @@ def analyse(
 
 def _about_motion(scenario: Scenario, of_runs: bool) -> list[str]:
     """Return what a part takes of the motion of base and target, of which runs have all."""
-    moving = [
-        name
-        for name, does in (
-            ("base", moves(scenario.base_motion)),
-            ("target", scenario.target.motion.kind != "none"),
-        )
-        if does
-    ]
-    if not moving:
+    base, target = moves(scenario.base_motion), scenario.target.motion.kind != "none"
+    if not (base or target):
         return []
-    what, several = " and ".join(moving), len(moving) > 1
+    one = "base" if base else "target"
     if of_runs:
-        return [
-            f"In all runs {what if several else 'the ' + what} {'move' if several else 'moves'} as in the scenario."
-        ]
-    if several:
+        what = "base and target move" if base and target else f"the {one} moves"
+        return [f"In all runs {what} as in the scenario."]
+    if base and target:
         return ["Base and target are taken at rest; in this scenario both move."]
-    return [f"The {what} is taken at rest; in this scenario it moves."]
+    return [f"The {one} is taken at rest; in this scenario it moves."]
 
 
 def _computed(scenario: Scenario, name: str, of: Callable[[], _Found]) -> _Found | NotComputed:
