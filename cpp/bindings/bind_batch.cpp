@@ -80,13 +80,15 @@ BatchResult run(const Settings& settings, const std::vector<std::pair<std::strin
   };
   if (!progress.is_none())
     options.progress = [&progress, &interrupted](const BatchProgress& p) {
-      const py::gil_scoped_acquire gil;
-      try {
-        progress(p.done, p.count, p.steps, p.total_steps);
-      } catch (const py::error_already_set& error) {
-        if (!error.matches(PyExc_KeyboardInterrupt)) throw;
-        interrupted = true;  // Ctrl-C while the function ran
-      }
+      or_stand_still([&] {
+        const py::gil_scoped_acquire gil;
+        try {
+          progress(p.done, p.count, p.steps, p.total_steps);
+        } catch (const py::error_already_set& error) {
+          if (!error.matches(PyExc_KeyboardInterrupt)) throw;
+          interrupted = true;  // Ctrl-C while the function ran
+        }
+      });
     };
   const WithoutGil no_gil;
   return simulate_batch(settings, rows, count, options, kernel.table());

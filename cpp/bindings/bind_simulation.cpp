@@ -31,8 +31,11 @@ py::array_t<double> point_rows(const py::object& self) {
 }  // namespace
 
 std::function<bool()> interrupt_question() {
-  const auto threading = py::module_::import("threading");
-  if (!threading.attr("get_ident")().equal(threading.attr("main_thread")().attr("ident"))) return {};
+  const bool is_main = or_stand_still([] {
+    const auto threading = py::module_::import("threading");
+    return threading.attr("get_ident")().equal(threading.attr("main_thread")().attr("ident"));
+  });
+  if (!is_main) return {};
   return [] {
     const py::gil_scoped_acquire gil;
     if (PyErr_CheckSignals() == 0) return false;

@@ -10,6 +10,8 @@
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
+#include <cxxabi.h>
+
 #include <chrono>
 #include <functional>
 #include <stdexcept>
@@ -35,35 +37,38 @@ void bind_kernel(py::module_& m);
 void bind_batch(py::module_& m);
 void bind_bench(py::module_& m);
 
-/// Other threads of Python run meanwhile. Where the interpreter has ended before this does, in a daemon thread, there
-/// is no lock to wait for: taking it would end the thread by an unwinding that the frames below do not let through, and
-/// so abort the program. The thread stands still until the program ends, as threads of Python 3.14 do.
+/// Calls `f`, which takes the GIL or runs Python's code. A daemon thread that does so once the interpreter ends is
+/// ended there, up to Python 3.13, by an unwinding that the frames below do not let through, which would abort the
+/// program. It stands still here until the program ends, as Python 3.14 has it.
+template <class F>
+auto or_stand_still(const F& f) {
+  try {
+    return f();
+  }
+#ifdef __GLIBCXX__
+  catch (const abi::__forced_unwind&) {
+    while (true) std::this_thread::sleep_for(std::chrono::hours(1));
+  }
+#endif
+}
+
+/// Other threads of Python run meanwhile.
 class WithoutGil {
  public:
-  WithoutGil() : ends_it_(is_interpreter_ending()), state_(PyEval_SaveThread()) {}
+  WithoutGil() : state_(PyEval_SaveThread()) {}
   WithoutGil(const WithoutGil&) = delete;
   WithoutGil& operator=(const WithoutGil&) = delete;
   ~WithoutGil() {
-    while (!ends_it_ && is_interpreter_ending()) std::this_thread::sleep_for(std::chrono::hours(1));
-    PyEval_RestoreThread(state_);
+    or_stand_still([this] { PyEval_RestoreThread(state_); });
   }
 
  private:
-  static bool is_interpreter_ending() {
-#if PY_VERSION_HEX >= 0x030D0000
-    return Py_IsFinalizing() != 0;
-#else
-    return _Py_IsFinalizing() != 0;
-#endif
-  }
-
-  bool ends_it_;  ///< this thread ends the interpreter: no other one runs Python's code then
   PyThreadState* state_;
 };
 
 /// What a run asks between steps: whether Ctrl-C was pressed. Anything else that a signal handler raises goes on to the
-/// caller. Empty in any thread but Python's main one, the only one that signals reach: another thread may still run
-/// when the interpreter ends, and must not ask for the GIL then. To be called with the GIL; its answer takes it.
+/// caller. Empty in any thread but Python's main one, the only one that signals reach. To be called with the GIL; its
+/// answer takes it.
 std::function<bool()> interrupt_question();
 
 inline py::str text(std::string_view view) { return {view.data(), view.size()}; }

@@ -249,7 +249,8 @@ typedef struct hexservo_gains hexservo_gains;
 typedef struct hexservo_state hexservo_state;
 
 /** Prepares the controller of a scenario. Of `uncertainty` it takes over what the controller itself assumes wrongly:
- * depth, focal length, principal point, mount, and the latency of `sampled` mode.
+ * focal length, principal point, mount, depth where the law has a model of the target's points, and the latency of
+ * `sampled` mode.
  * @param period time between two ticks [s], up to 1 s; 0: `simulation.step`
  * @param gains null in case of an error */
 HEXSERVO_API hexservo_status hexservo_gains_create(hexservo_scenario* scenario, double period, hexservo_gains** gains);

@@ -50,6 +50,17 @@ void require_positive(const std::string& key, const Eigen::Matrix<double, N, 1>&
   for (int i = 0; i < N; ++i) require_positive(words(key, "[", i, "]"), v(i));
 }
 
+/// Longest rotation vector of a pose of six numbers [rad]: longer ones are probably degrees.
+inline constexpr double kLongestTurn = 6.283185307179586 * (1.0 + 1e-12);
+
+/// Refuses a displacement (m; rad) whose rotation vector is longer than that.
+inline void require_turn(const std::string& key, const Eigen::Matrix<double, 6, 1>& displacement) {
+  const double turn = displacement.tail<3>().stableNorm();
+  if (!(turn <= kLongestTurn))
+    refuse(key, "a rotation vector at most 2 pi long (radians)",
+           words("one of ", turn, " (degrees? multiply by pi/180)"));
+}
+
 inline void require_not_negative(const std::string& key, double value) {
   require_finite(key, value);
   if (value < 0.0) refuse(key, "a number >= 0", words(value));

@@ -119,7 +119,7 @@ ControllerGains<Law, N> controller_gains(const Settings& settings, double period
   ticking.sensors.noise = 0.0;  // of the real encoders, not of those that a scenario simulates
   ticking.sensors.resolution = 0.0;
   if (settings.simulation.mode == LoopMode::sampled) {
-    ticking.uncertainty.focal_length = settings.uncertainty.focal_length;  // of its camera, as the next
+    ticking.uncertainty.focal_length = settings.uncertainty.focal_length;  // what it takes its camera for
     ticking.uncertainty.principal_point = settings.uncertainty.principal_point;
     ticking.uncertainty.latency = settings.uncertainty.latency;  // stamps come so early: poses are kept that long
   } else {
@@ -129,11 +129,6 @@ ControllerGains<Law, N> controller_gains(const Settings& settings, double period
   }
   return servo_gains(loop_parameters<Law, N>(ticking));
 }
-
-template <int alignment>
-void library_was_built_with_other_instruction_set_flags() noexcept {}
-
-template void library_was_built_with_other_instruction_set_flags<EIGEN_MAX_ALIGN_BYTES>() noexcept;
 
 template <class Law, int N>
 ControllerOutput step(const ControllerGains<Law, N>& gains, ControllerState<Law, N>& state,

@@ -496,6 +496,7 @@ Features project_target_in(const Settings& settings, const Vector6<double>& disp
   if (settings.camera.convention == CameraConvention::as_printed)
     refuse("target.desired_pose", "desired_features, since a camera as_printed has no points", "a pose");
   detail::require_finite("target.desired_pose", displacement);
+  detail::require_turn("target.desired_pose", displacement);
   const Pose<double> pose = moved(home_pose(hexapod), displacement);
   image = take_image<double, N>(camera, pose.position, rotation_matrix(pose.quaternion), points_T);
   if (!(image.depth.maxCoeff() < 0.0))
@@ -676,6 +677,7 @@ SceneParameters<double, N> scene_parameters(const Settings& settings, const Hexa
   p.depth_error = in_places<N, 1>(settings.uncertainty.depth, p.points);
   p.switching = settings.controller.switching;
   p.goal = home_pose(p.hexapod);
+  detail::require_turn("simulation.start.pose", settings.simulation.start.pose);
   p.start = moved(p.goal, settings.simulation.start.pose);
   p.start_twist = settings.simulation.start.twist;
   if (!(p.start_twist.cwiseAbs().maxCoeff() <= kMaxTwist))
@@ -745,5 +747,11 @@ LoopParameters<double, Law, N> loop_parameters(const Settings& settings, const H
 HEXSERVO_FOR_EACH_LAW(HEXSERVO_HERE)
 #undef HEXSERVO_HERE
 #undef HEXSERVO_OF
+
+template <int alignment>
+bool library_was_built_with_other_instruction_set_flags() noexcept {
+  return false;
+}
+template bool library_was_built_with_other_instruction_set_flags<EIGEN_MAX_ALIGN_BYTES>() noexcept;
 
 }  // namespace hexservo

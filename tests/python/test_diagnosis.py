@@ -518,9 +518,16 @@ def test_what_small_random_changes_cure_as_well_has_no_cause() -> None:
 
 
 def record_by_hand(
-    error: Array, lengths: Array | None = None, outcome: str = "completed", travel: float = 0.0
+    error: Array,
+    lengths: Array | None = None,
+    outcome: str = "completed",
+    travel: float = 0.0,
+    displacement: Array | None = None,
 ) -> Record:
-    """One feature coordinate has the error, all legs the lengths; ten seconds if it completes."""
+    """One feature coordinate has the error, all legs the lengths; ten seconds if it completes.
+
+    The target is displaced along x.
+    """
     time = np.linspace(0.0, 10.0, len(error))
     features = np.zeros((len(error), 8))
     features[:, 3] = -error
@@ -533,7 +540,9 @@ def record_by_hand(
         "settling_time": float(settling) if time[-1] - settling > ALLOWED.dwell else math.nan,
     }
     samples = {"feature_error": features, "leg_lengths": legs}
-    return make_record(outcome, "", float(time[-1]), metrics, time, samples, keep=False)
+    target = np.zeros((len(error), 3))
+    target[:, 0] = 0.0 if displacement is None else displacement
+    return make_record(outcome, "", float(time[-1]), metrics, time, samples, target, keep=False)
 
 
 ALLOWED = Allowed(band=2.0, dwell=0.2, stroke=0.017, duration=10.0)
@@ -600,6 +609,15 @@ def test_a_drift_is_the_slope_that_both_of_the_last_quarters_have() -> None:
     limit = ALLOWED.stroke / DRIFT_TIME
     assert not judge(record_by_hand(flat, 0.99 * limit * time), ALLOWED).failed
     assert judge(record_by_hand(flat, 1.01 * limit * time), ALLOWED).failed
+
+
+def test_legs_that_follow_a_target_do_not_drift() -> None:
+    """Of one that goes on; of one that sways, legs that wander off beside it do."""
+    flat = np.zeros(501)
+    time = np.linspace(0.0, 10.0, 501)
+    gone, sways = 2e-3 * time, 0.1 * np.sin(3.0 * time)
+    assert record_by_hand(flat, 3e-3 * time, displacement=gone).drift == 0.0
+    assert record_by_hand(flat, 3e-3 * time, displacement=sways).drift == pytest.approx(3e-3)
 
 
 def test_noise_is_seldom_taken_for_a_drift() -> None:

@@ -265,6 +265,8 @@ def test_a_pose_is_followed() -> None:
 def test_check_names_the_speed_below_which_a_target_counts_as_resting() -> None:
     """The deviation of the filter's velocity by its recursion; runs follow the mean of earlier frames below, not above.
 
+    Up to twice that speed the sentence stands.
+
     At 4 times that speed the share 1 - 1/4^4 counts, and what is left is a quarter of the lag at that speed at most.
     """
     still_head = head(0.0)
@@ -280,7 +282,7 @@ def test_check_names_the_speed_below_which_a_target_counts_as_resting() -> None:
     assert counts == pytest.approx(2.5 * np.sqrt(3.0 * covariance[1, 1]), rel=0.05)  # the depth is that of the mean
 
     behind = []
-    for factor in (0.5, 4.0):
+    for factor in (0.5, 1.9, 4.0):
         moving = still_head.updated(
             {
                 "target.motion": {"kind": "velocity", "velocity": [0.0, factor * counts, 0.0]},
@@ -288,13 +290,13 @@ def test_check_names_the_speed_below_which_a_target_counts_as_resting() -> None:
             }
         )
         warned = [text for text in unlikely(moving) if text.startswith("controller.tracking.certainty")]
-        assert bool(warned) == (factor < 1.0)
+        assert bool(warned) == (factor < 2.0)
         error = hs.simulate(moving).feature_error[-100:].reshape(100, -1, 2)
         behind.append(float(np.abs(error.mean(axis=(0, 1))).max()))
     print(
-        f"counts from {1e3 * counts:.1f} mm/s; behind by {behind[0]:.1f} px at half, {behind[1]:.1f} px at 4 times that"
+        f"counts from {1e3 * counts:.1f} mm/s; behind by {behind[0]:.1f} px at half, {behind[-1]:.1f} px at 4 times"
     )
-    assert behind[1] < behind[0] / 4.0
+    assert behind[-1] < behind[0] / 4.0
 
 
 def test_what_is_followed_stands_still_after_a_second_without_frames() -> None:

@@ -96,8 +96,9 @@ struct ControllerOutput {
 inline constexpr double kMaxServoPeriod = 1.0;  ///< longest time between two ticks [s]
 
 /// Prepares the controller of a scenario: estimates only, no plant. Of `settings.uncertainty` it takes over what
-/// the controller itself assumes wrongly: depth, focal length, principal point, mount, and the latency of `sampled`
-/// mode. For a real machine these are 0, unless its estimates are known to be wrong by so much.
+/// the controller itself assumes wrongly: focal length, principal point, mount, depth where the law has a model of the
+/// target's points, and the latency of `sampled` mode. For a real machine these are 0, unless its estimates are known
+/// to be wrong by so much.
 ///
 /// A scenario in `sampled` mode brings its camera, its joint sensors and the limits of its actuators; one in
 /// `continuous` mode has a frame and a pose at every tick.
@@ -111,18 +112,12 @@ ControllerGains<Law, N> controller_gains(const Settings& settings) {
   return controller_gains<Law, N>(settings, settings.simulation.step);
 }
 
-/// Exists in the library for its own memory layout only. Code that is compiled for another instruction set (-mavx,
-/// -march=native) lays out gains and state differently, and does not link: give both the same flags.
-template <int alignment>
-void library_was_built_with_other_instruction_set_flags() noexcept;
-
 /// State before the first tick; takes the memory that the ticks need.
 /// @param memory where the poses are kept that belong to frames under way; a copy of the state has the default one
 /// @throws what `memory` throws where there is too little
 template <class Law, int N>
 ControllerState<Law, N> initial_state(const ControllerGains<Law, N>& gains,
                                       std::pmr::memory_resource* memory = std::pmr::get_default_resource()) {
-  library_was_built_with_other_instruction_set_flags<EIGEN_MAX_ALIGN_BYTES>();
   return ControllerState<Law, N>(gains, memory);
 }
 

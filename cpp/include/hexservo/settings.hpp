@@ -13,6 +13,13 @@
 
 namespace hexservo {
 
+/// Exists in the library for its own memory layout only. Code that is compiled for another instruction set (-mavx,
+/// -march=native) lays out settings, gains and state differently, and does not link: give both the same flags.
+template <int alignment>
+bool library_was_built_with_other_instruction_set_flags() noexcept;
+[[maybe_unused]] static const bool kOtherLayout =
+    library_was_built_with_other_instruction_set_flags<EIGEN_MAX_ALIGN_BYTES>();
+
 /// Rows of numbers, one after the other, or none.
 using Samples = std::shared_ptr<const std::vector<double>>;
 

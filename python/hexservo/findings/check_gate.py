@@ -8,9 +8,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from hexservo.findings.analysis.scene import Scene
-from hexservo.findings.check_target import displacements_of
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.motion import TargetMotion
+from hexservo.scenario.motion import TargetMotion, displacements_of
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number

@@ -14,7 +14,7 @@ from hexservo.findings.analysis.reach import nearest_limit, reach_of_start_and_g
 from hexservo.findings.analysis.scene import Scene
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.laws import Tracking
-from hexservo.scenario.motion import TargetMotion
+from hexservo.scenario.motion import displacements_of
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.pixels import points_outside
 from hexservo.scenario.scenario import Scenario
@@ -132,19 +132,6 @@ def _instants(scenario: Scenario) -> tuple[Array, Array]:
         extremes = motion.sample_period * np.concatenate([samples.argmin(axis=0), samples.argmax(axis=0)])
     time = np.unique(np.concatenate([np.linspace(0.0, span, _INSTANTS + 1), extremes[extremes <= span]]))
     return time, displacements_of(motion, time)
-
-
-def displacements_of(motion: TargetMotion, time: Array) -> Array:
-    """Return d(t) of a target at times (n,) [s], (n, 3) [m]; recorded samples are joined by straight lines."""
-    if motion.kind == "velocity":
-        return np.outer(time, motion.velocity)
-    if motion.kind == "sinusoid":
-        return np.outer(np.sin(2.0 * math.pi * motion.frequency * time + motion.phase), motion.amplitude)
-    if motion.kind == "recorded" and motion.samples is not None and motion.sample_period is not None:
-        samples = np.asarray(motion.samples, dtype=float)
-        at = motion.sample_period * np.arange(len(samples))
-        return np.column_stack([np.interp(time, at, column) for column in samples.T])
-    return np.zeros((len(time), 3))
 
 
 def _pointed(scene: Scene, shift: Array) -> Poses:

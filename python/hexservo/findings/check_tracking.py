@@ -16,6 +16,8 @@ from hexservo.scenario.laws import Tracking
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.wording import number, quantity
 
+_WHOLE = 2.0  # times the speed from which a velocity counts: 1 - 1/2^4 of it does
+
 
 def of_tracking(scene: Scene) -> Iterator[str]:
     """Yield a sentence for a target whose velocity never counts, so that the law follows where it was in the mean."""
@@ -27,13 +29,14 @@ def of_tracking(scene: Scene) -> Iterator[str]:
     moved = moved_between_frames(scenario.target.motion, period)
     fastest = float(np.linalg.norm(moved, axis=1).max(initial=0.0)) / period
     counts = speed_that_counts(scene, gains)
-    if 0.0 < fastest < counts:
+    if 0.0 < fastest < _WHOLE * counts:
         yield (
             f"controller.tracking.certainty: target.motion moves the target at up to {quantity(fastest, 'm/s')}, and "
             f"the law takes it for moving from about {quantity(counts, 'm/s')} on, where its velocity is certainty "
             f"({number(gains.certainty)}) times what noise of {number(gains.noise)} px leaves in it: until then the "
-            "mean of earlier frames is followed, behind the target; set controller.tracking.noise to that of the "
-            "features, or certainty to 0, with which every velocity counts"
+            "mean of earlier frames is followed, behind the target, and up to twice that speed a part of its velocity "
+            "is missing; set controller.tracking.noise to that of the features, or certainty to 0, with which every "
+            "velocity counts"
         )
 
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.block import NOT_NEGATIVE, Block, NumberNotNegative, PositiveNumber
 from hexservo.scenario.core_defaults import from_core
 from hexservo.scenario.recording import Recording, read_base_motion, read_target_motion
@@ -147,3 +150,16 @@ def _require_recording(kind: str, samples: Matrix | None, period: float | None) 
         raise refusal(((missing,), f"expected it beside {given}, got null"))
     if kind == "recorded" and samples is None:
         raise refusal((("file",), 'expected the path of a CSV file for the kind "recorded", got null'))
+
+
+def displacements_of(motion: TargetMotion, time: Array) -> Array:
+    """Return d(t) of a target at times (n,) [s], (n, 3) [m]; recorded samples are joined by straight lines."""
+    if motion.kind == "velocity":
+        return np.outer(time, motion.velocity)
+    if motion.kind == "sinusoid":
+        return np.outer(np.sin(2.0 * math.pi * motion.frequency * time + motion.phase), motion.amplitude)
+    if motion.kind == "recorded" and motion.samples is not None and motion.sample_period is not None:
+        samples = np.asarray(motion.samples, dtype=float)
+        at = motion.sample_period * np.arange(len(samples))
+        return np.column_stack([np.interp(time, at, column) for column in samples.T])
+    return np.zeros((len(time), 3))

@@ -67,25 +67,32 @@ run("${CMAKE_COMMAND}" -S "${work}/optional" -B "${work}/optional/build" -G "${G
 if(PROCESSOR MATCHES "^(x86_64|AMD64|amd64)$" AND NOT CXX_FLAGS MATCHES "-m(arch|avx)")
   file(WRITE "${work}/other_flags/CMakeLists.txt"
        "cmake_minimum_required(VERSION 3.22)\nproject(other_flags LANGUAGES CXX)\nfind_package(hexservo REQUIRED)\n"
-       "add_executable(other_flags main.cpp)\ntarget_link_libraries(other_flags PRIVATE hexservo::core)\n")
-  file(WRITE "${work}/other_flags/main.cpp"
+       "add_executable(tick tick.cpp)\nadd_executable(run run.cpp)\n"
+       "target_link_libraries(tick PRIVATE hexservo::core)\ntarget_link_libraries(run PRIVATE hexservo::core)\n")
+  file(WRITE "${work}/other_flags/tick.cpp"
        "#include <hexservo/controller.hpp>\n"
        "int main() {\n"
        "  const auto gains = hexservo::controller_gains<hexservo::Hybrid>({}, 1e-3);\n"
-       "  return hexservo::initial_state(gains).last_pose.position(0) > 0.0;\n"
+       "  hexservo::ControllerState<hexservo::Hybrid> state(gains);\n"
+       "  return state.last_pose.position(0) > 0.0;\n"
        "}\n")
+  file(WRITE "${work}/other_flags/run.cpp"
+       "#include <hexservo/simulation.hpp>\n"
+       "int main() { return hexservo::simulate({}).time.size() > 0; }\n")
   # A program with other flags than the library's is refused, in words that tell why.
-  function(expect_refusal flags message)
-    string(MAKE_C_IDENTIFIER "${flags}" name)
+  function(expect_refusal program flags message)
+    string(MAKE_C_IDENTIFIER "${program} ${flags}" name)
     run("${CMAKE_COMMAND}" -S "${work}/other_flags" -B "${work}/other_flags/${name}" -G "${GENERATOR}" ${shared}
         "-DCMAKE_CXX_FLAGS=${CXX_FLAGS} ${flags}")
-    execute_process(COMMAND "${CMAKE_COMMAND}" --build "${work}/other_flags/${name}" RESULT_VARIABLE code
+    execute_process(COMMAND "${CMAKE_COMMAND}" --build "${work}/other_flags/${name}" --target ${program}
+                    RESULT_VARIABLE code
                     OUTPUT_VARIABLE output ERROR_VARIABLE output)
     if(code EQUAL 0 OR NOT output MATCHES "${message}")
-      message(FATAL_ERROR "${flags}: expected \"${message}\", got ${code}:\n${output}")
+      message(FATAL_ERROR "${program} ${flags}: expected \"${message}\", got ${code}:\n${output}")
     endif()
   endfunction()
-  expect_refusal("-mavx" "library_was_built_with_other_instruction_set_flags")
+  expect_refusal(tick "-mavx" "library_was_built_with_other_instruction_set_flags")
+  expect_refusal(run "-mavx" "library_was_built_with_other_instruction_set_flags")
   # Inline functions of the headers are shared with the library: nothing may remove their checks for NaN.
-  expect_refusal("-ffast-math -Wfatal-errors" "compile without -ffast-math")
+  expect_refusal(tick "-ffast-math -Wfatal-errors" "compile without -ffast-math")
 endif()

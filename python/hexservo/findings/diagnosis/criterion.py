@@ -29,7 +29,7 @@ class Record:
     metrics: Mapping[str, float]
     time: Array  # (m,) [s], of the samples that there are
     error: Array  # (m,) [px], largest |feature error|
-    drift: float  # [m/s], of the fastest leg: what its last two quarters have in common
+    drift: float  # [m/s], of the fastest leg: what its last two quarters have in common; 0 behind a moving target
     samples: Mapping[str, Array]  # name of Result -> (m, k); empty where they were not asked for
 
     @property
@@ -82,11 +82,16 @@ def make_record(
     metrics: Mapping[str, float],
     time: Array,
     samples: Mapping[str, Array],
+    displacement: Array,
     *,
     keep: bool,
 ) -> Record:
-    """Make a record of a run's samples; `keep` keeps them."""
+    """Make a record of a run's samples; `keep` keeps them.
+
+    Where the target goes on in one direction, by its displacement (m, 3) [m], the legs that follow it do not drift.
+    """
     error = np.abs(samples["feature_error"]).max(axis=1)
+    follows = _drift(time, displacement, end_time) > 0.0
     return Record(
         outcome,
         detail,
@@ -94,15 +99,15 @@ def make_record(
         metrics,
         time,
         error,
-        _drift(time, samples["leg_lengths"], end_time),
+        0.0 if follows else _drift(time, samples["leg_lengths"], end_time),
         samples if keep else {},
     )
 
 
 def _drift(time: Array, lengths: Array, end_time: float) -> float:
-    """Return the largest persistent speed of a leg [m/s]; noise makes a leg wander, but not steadily.
+    """Return the largest persistent speed of lengths (m, k) [m/s]; noise makes a leg wander, but not steadily.
 
-    A straight line is laid through the leg lengths (m, 6) of each of two windows, in the least squares. Of slopes with
+    A straight line is laid through the lengths of each of two windows, in the least squares. Of slopes with
     the same sign the smaller one counts, of others none; and only of legs whose mean lengths over the blocks of the
     last half of the run rise or fall throughout. A random walk does that once in 9 times, white noise once in 360.
     """

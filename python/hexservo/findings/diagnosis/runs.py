@@ -15,6 +15,7 @@ from hexservo.run.shared import numbers_of, shared_by, widest
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.fitted import acts_on_gains, auto_of
 from hexservo.scenario.keys import acting_keys
+from hexservo.scenario.motion import TargetMotion, displacements_of
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.yaml import ScenarioError
 
@@ -43,6 +44,7 @@ def record_of(result: Result) -> Record:
         dict(result.streamed_metrics),
         result.time[kept],
         samples,
+        displacements_of(result.scenario.target.motion, result.time[kept]),
         keep=True,
     )
 
@@ -123,10 +125,13 @@ def _run(
             yield from _run([one], runs, threads)
         return
     for row, (index, _) in enumerate(group):
-        yield index, _batch_record(batch, row)
+        run = runs[index]
+        changed = any(key.startswith("target.motion") for key in run.changes)
+        ran = run.scenario.updated(run.changes) if changed else run.scenario
+        yield index, _batch_record(batch, row, ran.target.motion)
 
 
-def _batch_record(batch: BatchResult, row: int) -> Record:
+def _batch_record(batch: BatchResult, row: int, motion: TargetMotion) -> Record:
     assert batch.time is not None  # of trajectories
     there = np.isfinite(batch.samples["feature_error"][row]).all(axis=1)
     return make_record(
@@ -136,5 +141,6 @@ def _batch_record(batch: BatchResult, row: int) -> Record:
         metrics_of(batch, row),
         batch.time[there],
         {name: batch.samples[name][row][there] for name in ("feature_error", "leg_lengths")},
+        displacements_of(motion, batch.time[there]),
         keep=False,
     )
