@@ -293,9 +293,7 @@ def test_check_names_the_speed_below_which_a_target_counts_as_resting() -> None:
         assert bool(warned) == (factor < 2.0)
         error = hs.simulate(moving).feature_error[-100:].reshape(100, -1, 2)
         behind.append(float(np.abs(error.mean(axis=(0, 1))).max()))
-    print(
-        f"counts from {1e3 * counts:.1f} mm/s; behind by {behind[0]:.1f} px at half, {behind[-1]:.1f} px at 4 times"
-    )
+    print(f"counts from {1e3 * counts:.1f} mm/s; behind by {behind[0]:.1f} px at half, {behind[-1]:.1f} px at 4 times")
     assert behind[-1] < behind[0] / 4.0
 
 
