@@ -282,15 +282,17 @@ def _without_start(plan: CampaignPlan) -> Iterator[Problem]:
 
 
 def _at_the_ends(plan: CampaignPlan) -> Iterator[Scenario]:
-    """Return scenarios with all that varies at the lower and the upper ends, where they are valid."""
+    """Return scenarios with all that varies, and with each key by itself, at both ends, where they are valid."""
     drawing, law = plan.drawing(), plan.scenario.controller.law
+    base = plan.scenario.updated(drawing.base)
     single = {} if plan.tune is None else plan.tune.variables
     for end in (0, 1):
         drawn = drawing.variations(drawing.numbers_at(np.full((1, drawing.dimension), float(end)), 0))
         changes = changes_of_run(drawn, law)
         changes |= {key: one.variation.box[end] for key, one in single.items() if one.groups == (0,)}
-        with contextlib.suppress(ValueError):
-            yield plan.scenario.updated(drawing.base).updated(changes)
+        for some in (changes, *({key: value} for key, value in changes.items())):
+            with contextlib.suppress(ValueError):
+                yield base.updated(some)
 
 
 def _without_value(plan: CampaignPlan, metric: str) -> str:
