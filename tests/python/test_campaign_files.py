@@ -350,7 +350,7 @@ REFUSED = [
         {"vary": {"uncertainty.depth": {"uniform": [0, 0.1], "symmetric": True, "each": True}}},
         "vary.uncertainty.depth: symmetric: expected a key that holds a square matrix",
     ),
-    ({"vary": {"seed": {"uniform": [0, 1]}}}, r"vary.seed: expected \{choice: \[...\]\} of integers, got uniform"),
+    ({"vary": {"seed": {"choice": [0, 1]}}}, "vary.seed: expected each, other noise in each run; for the noise of one"),
     ({"vary": {"camera.latency": {"uniform": [0, 0.1]}}}, "vary: scenario 0: camera.latency: "),
     (
         {"vary": {"simulation.log_every": {"choice": [1, 1.5]}}},
@@ -523,6 +523,15 @@ def test_noise_that_varies_from_none_on_is_shared_too() -> None:
     still = hs.load_scenario("composite-30hz").updated({"camera.noise": 0.0})
     file = {"scenario": still, "vary": {"camera.noise": {"uniform": [0.0, 0.2]}}, "require": ["outcome == completed"]}
     assert load_plan(file | {"runs": 10}).common_noise == 0
+
+
+@pytest.mark.parametrize("other", [{}, {"target.translation": {"uniform": [-1.0, 0.55]}}])
+def test_noise_is_found_between_listed_values_and_beside_an_end_that_is_not_valid(other: dict[str, Any]) -> None:
+    """The upper end of the translation has the target behind the camera, which is no scenario."""
+    still = hs.load_scenario("composite-30hz").updated({"camera.noise": 0.0})
+    file = {"scenario": still, "require": ["outcome == completed"], "runs": 10}
+    assert load_plan(file | {"vary": {"camera.noise": {"choice": [0.0, 0.2, 0.0]}, **other}}).common_noise == 0
+    assert load_plan(file | {"vary": {"camera.noise": {"choice": [0.0, 0.0]}, **other}}).common_noise is None
 
 
 def test_the_file_of_the_page_is_valid() -> None:

@@ -37,6 +37,11 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ({"confidence": 0.9}, "confidence"),
         ({"chunk_size": 50}, "chunk_size"),
         ({"vary": {"seed": "each"}}, "vary"),
+        ({"vary": dict(reversed(FILE["vary"].items()))}, "the order of the keys of vary;"),
+        (
+            {"scenario": FILE["scenario"].updated({"target.motion.amplitude": [-0.0] * 3})},
+            "the sign of a zero in scenario",
+        ),
     ],
 )
 def test_a_folder_of_a_different_campaign_is_refused(whole: Path, change: dict[str, Any], differs: str) -> None:
@@ -44,6 +49,23 @@ def test_a_folder_of_a_different_campaign_is_refused(whole: Path, change: dict[s
     with pytest.raises(OutputError, match=f"expected a folder of this campaign, got one that differs in .*{differs}"):
         hs.campaign(FILE | change, whole)
     assert {path: path.read_bytes() for path in whole.rglob("*") if path.is_file()} == before
+
+
+def test_what_no_run_depends_on_may_change(whole: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(whole, out)
+    chunks = {path: path.stat().st_mtime_ns for path in (out / "chunks").iterdir()}
+    tune = {"variables": {"controller.composite.drive": {"log": [1.0, 40.0]}}}
+    scenario = FILE["scenario"].updated({"name": "b", "description": "c"})
+    old = (out / "summary.json").read_bytes()
+    changed = hs.campaign(FILE | {"tune": tune, "scenario": scenario}, out)
+    assert {path: path.stat().st_mtime_ns for path in (out / "chunks").iterdir()} == chunks
+    assert changed.summary == hs.load_campaign(whole).summary | {"scenario": "b"}
+    loaded = hs.load_campaign(out)
+    assert (loaded.summary, loaded.plan.scenario, loaded.plan.tune) == (changed.summary, scenario, changed.plan.tune)
+    assert changed.plan.tune is not None
+    (out / "summary.json").write_bytes(old)  # of a process that was killed before it wrote
+    assert hs.load_campaign(out).summary["scenario"] == "b"
 
 
 def test_folders_that_are_refused(whole: Path, tmp_path: Path) -> None:

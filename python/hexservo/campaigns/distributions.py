@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -50,7 +50,9 @@ class Variation:
         uniform
             Numbers above 0 and below 1, of any shape; the result has the same shape.
         """
-        first, last = self.parameters[0], self.parameters[-1]
+        if self.kind == "choice":
+            return _entry(self.parameters, uniform)
+        first, last = self.parameters
         drawn = first + last * ndtri(uniform) if self.kind == "normal" else self._between(first, last, uniform)
         return np.asarray(drawn if self.clip is None else np.clip(drawn, *self.clip), dtype=float)
 
@@ -71,14 +73,14 @@ class Variation:
         return low, high
 
     def in_box(self, share: Array) -> Array:
-        """Return numbers by their place in the box, from 0 to 1; the places of `log` and `choice` are of equal size."""
-        return self._between(*self.box, share)
+        """Return numbers by their place in the box, from 0 to 1; the places of `log` and `choice` are of equal size.
+
+        0 has the least number and 1 the largest one: those of `choice` are in ascending order.
+        """
+        return _entry(sorted(self.parameters), share) if self.kind == "choice" else self._between(*self.box, share)
 
     def _between(self, low: float, high: float, share: Array) -> Array:
-        """Return the numbers at shares of the way between two: of `log` in their logarithms, of `choice` its own."""
-        if self.kind == "choice":
-            count = len(self.parameters)
-            return np.array(self.parameters, dtype=float)[np.minimum((share * count).astype(np.int64), count - 1)]
+        """Return the numbers at shares of the way between two: of `log` in their logarithms."""
         start, end = (np.log10(low), np.log10(high)) if self.kind == "log" else (low, high)
         found = start + (end - start) * share
         return np.asarray(np.clip(exp10(found) if self.kind == "log" else found, low, high))  # rounding may pass an end
@@ -87,7 +89,7 @@ class Variation:
         """Return the places of numbers in the box, the inverse of `in_box`; 0 or 1 beyond its ends."""
         low, high = self.box
         if self.kind == "choice":
-            places = np.abs(numbers[..., None] - np.asarray(self.parameters)).argmin(axis=-1)
+            places = np.abs(numbers[..., None] - np.sort(self.parameters)).argmin(axis=-1)
             return np.asarray((places + 0.5) / len(self.parameters))
         if self.kind == "log":
             low, high, numbers = np.log(low), np.log(high), np.log(np.maximum(numbers, low))
@@ -102,6 +104,12 @@ class Variation:
         if self.clip is not None:
             plain["clip"] = list(self.clip)
         return plain | {flag: True for flag in _FLAGS if getattr(self, flag)}
+
+
+def _entry(listed: Sequence[float], share: Array) -> Array:
+    """Return those of listed numbers that are at shares of the way, from 0 to 1, along the list."""
+    count = len(listed)
+    return np.array(listed, dtype=float)[np.minimum((share * count).astype(np.int64), count - 1)]
 
 
 def uniform_of(bits: NDArray[np.uint64]) -> Array:

@@ -54,7 +54,8 @@ def campaign(
     source
         A packaged campaign, the path of a file, or what a file holds.
     out
-        Folder: new, empty, or of the same campaign, which may have more runs or a different `until` now.
+        Folder: new, empty, or of the same campaign. That may have more runs, and a different `until`, `tune`, name or
+        description of the scenario now.
     changes
         Of the scenario, as for `load_scenario`; of a `Scenario`, as for `Scenario.updated`.
     runs, chunk_size

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from hexservo.campaigns.distributions import SEED, Variation, variation_of
 from hexservo.campaigns.requirements import Requirement, requirement_of
 from hexservo.run.metrics import METRICS, asked_metrics
-from hexservo.scenario.rules import Integer, Number, Problem, Rule, did_you_mean, refusal
+from hexservo.scenario.rules import Integer, Number, Problem, Rule, did_you_mean, refusal, shown_value
 from hexservo.scenario.scenario import Scenario, load_scenario
 from hexservo.scenario.yaml import ScenarioError
 
@@ -77,12 +77,19 @@ class VaryRule(Rule):
             self.refuse(value)
         problems: list[Problem] = []
         found = {
-            key: Variation(SEED) if (key, given) == ("seed", SEED) else tried(variation_of, given, key, problems)
+            key: tried(_seeds_of if key == "seed" else variation_of, given, key, problems)
             for key, given in value.items()
         }
         if problems:
             raise refusal(*problems)
         return cast("dict[str, Variation]", found)
+
+
+def _seeds_of(value: Any) -> Variation:
+    if value != SEED:  # a few seeds would be a few kinds of noise, in runs that count as independent ones
+        remedy = f"expected {SEED}, other noise in each run; for the noise of one seed set seed in the scenario"
+        raise refusal(((), f"{remedy}; got {shown_value(value)}"))
+    return Variation(SEED)
 
 
 class RequireRule(Rule):

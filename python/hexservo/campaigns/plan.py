@@ -149,16 +149,22 @@ class CampaignPlan(Block):
         """Return what draws the variations of its runs."""
         return Drawing(self.scenario, self.vary, int(self.digest()[:32], 16))
 
-    def digest(self) -> str:
-        """Return the SHA-256, in hexadecimal digits, of all that determines the variations of its runs.
+    def drawn_from(self) -> dict[str, Any]:
+        """Return all that determines the variations of its runs, by the keys of the file.
 
-        That is the scenario without its name and description, `vary` and `stream`: runs, chunks and requirements may
-        differ.
+        That is the scenario without its name and description, `vary` as a list, whose order counts, and `stream`: runs,
+        chunks and requirements may differ.
         """
         keys = self.scenario.to_mapping()
-        scenario = {key: value for key, value in keys.items() if key not in ("name", "description")}
-        vary = [[key, variation.to_plain()] for key, variation in self.vary.items()]
-        text = json.dumps([scenario, vary, self.stream], allow_nan=False, sort_keys=True)
+        return {
+            "scenario": {key: value for key, value in keys.items() if key not in ("name", "description")},
+            "vary": [[key, variation.to_plain()] for key, variation in self.vary.items()],
+            "stream": self.stream,
+        }
+
+    def digest(self) -> str:
+        """Return the SHA-256, in hexadecimal digits, of all that determines the variations of its runs."""
+        text = json.dumps(list(self.drawn_from().values()), allow_nan=False, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
     def to_mapping(self) -> dict[str, Any]:
@@ -282,15 +288,17 @@ def _without_start(plan: CampaignPlan) -> Iterator[Problem]:
 
 
 def _at_the_ends(plan: CampaignPlan) -> Iterator[Scenario]:
-    """Return scenarios with all that varies at the lower and the upper ends, where they are valid."""
+    """Return scenarios with all that varies, and with each key by itself, at both ends, where they are valid."""
     drawing, law = plan.drawing(), plan.scenario.controller.law
+    base = plan.scenario.updated(drawing.base)
     single = {} if plan.tune is None else plan.tune.variables
     for end in (0, 1):
         drawn = drawing.variations(drawing.numbers_at(np.full((1, drawing.dimension), float(end)), 0))
         changes = changes_of_run(drawn, law)
         changes |= {key: one.variation.box[end] for key, one in single.items() if one.groups == (0,)}
-        with contextlib.suppress(ValueError):
-            yield plan.scenario.updated(drawing.base).updated(changes)
+        for some in (changes, *({key: value} for key, value in changes.items())):
+            with contextlib.suppress(ValueError):
+                yield base.updated(some)
 
 
 def _without_value(plan: CampaignPlan, metric: str) -> str:

@@ -195,7 +195,8 @@ def load_campaign(folder: str | os.PathLike[str]) -> CampaignResult:
     if summary is not None and summary["complete"]:
         until = plan.to_mapping()["until"]
         if (summary["planned_runs"], summary["until"]) == (plan.runs, until):
-            return CampaignResult(store.folder, plan, summary | {"common_noise": plan.common_noise})
+            of_plan = {"scenario": plan.scenario.name, "common_noise": plan.common_noise}
+            return CampaignResult(store.folder, plan, summary | of_plan)
     tally = Tally([0] * len(plan.require))
     present = set(store.indices())
     index = 0

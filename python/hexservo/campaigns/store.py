@@ -40,7 +40,11 @@ _SEAL = "sha256"  # key of the digest of what a file holds beside it
 _CHUNK = re.compile(r"(?P<index>[0-9]{6,})\.parquet")
 _DRAFT = ".hexservo-{name}-{token}.part"  # no file of a user has such a name
 _DRAFTS = re.compile(_DRAFT.replace(".", r"\.").format(name=".+", token="[0-9a-f]{12}"))
-_MAY_GROW = ("runs", "until")  # what the same campaign may change later: the interval holds at any stop
+_MAY_CHANGE = (
+    "runs",
+    "until",
+    "tune",
+)  # in the same campaign: its interval holds at any stop, a search is no part of it
 
 
 class ShorterChunkError(ResultError):
@@ -149,8 +153,12 @@ class Store:
         there, record = read_plan(self.folder)
         self.plan.changed(variant=record["variant"]).required_variant()
         differing = [] if record["hexservo"] == VERSION else ["hexservo"]
-        ours, theirs = self.plan.to_mapping(), there.to_mapping()
-        differing += [key for key in ours if key not in _MAY_GROW and ours[key] != theirs[key]]
+        ours, theirs = (plan.to_mapping() | plan.drawn_from() for plan in (self.plan, there))
+        differing += [
+            _difference(key, ours[key], theirs[key])
+            for key in ours
+            if key not in _MAY_CHANGE and _text(ours[key]) != _text(theirs[key])
+        ]
         if differing:
             got = ", ".join(f"{key} {record[key]}" if key in record else key for key in differing)
             raise OutputError(
@@ -310,6 +318,17 @@ def new_record(plan: CampaignPlan) -> dict[str, Any]:
         "campaign": _campaign_digest(plan, VERSION, variant),
         "fixed_runs": plan.runs if plan.until is None else None,
     }
+
+
+def _text(value: Any) -> str:
+    return json.dumps(value, sort_keys=True)
+
+
+def _difference(key: str, ours: Any, theirs: Any) -> str:
+    """Return what differs in two values of a key of a campaign, of `vary` as lists."""
+    if key == "vary" and sorted(map(_text, ours)) == sorted(map(_text, theirs)):
+        return "the order of the keys of vary"
+    return f"the sign of a zero in {key}" if ours == theirs else key
 
 
 def _campaign_digest(plan: CampaignPlan, version: Any, variant: Any) -> str:
