@@ -153,6 +153,40 @@ def test_no_key_is_taken_from_legs_of_which_little_is_predicted(
         assert useless.section().verdict == "bad"
 
 
+@pytest.mark.parametrize(("name", "reached"), [("speed_limit", "fastest"), ("acceleration_limit", "hardest")])
+def test_a_limit_that_the_log_does_not_determine_is_the_one_that_is_given(
+    slow_legs: tuple[Log, Drives], name: str, reached: str
+) -> None:
+    log, slow = slow_legs
+    key = f"actuators.position.{name}"
+    machine = hs.load_scenario("pi-h824-positions", {key: 0.02})
+    known = [Interval(8.0, 7.9, 8.1)] * 6
+    limit, none = Interval(0.02, 0.0199, 0.0201), None
+
+    def found(limits: list[Interval | None], most: list[float]) -> tuple[dict[str, Any], Any]:
+        numbers: dict[str, list[Any]] = {name: limits, reached: most}
+        drives = with_fits(slow, bandwidth=known, damping=known, **numbers)
+        return changes_of(log, machine, drives, None), drives.section()
+
+    changes, section = found([none] * 6, [0.004] * 6)
+    assert key not in changes
+    assert section.verdict == "good"
+    for most in ([0.03] * 6, [0.03] + 5 * [0.004]):  # legs that are too slow for the limit do not show that it acts
+        assert found([none] * 6, most)[0][key] is None
+    assert key not in found([none] * 6, [0.0215] * 6)[0]  # it would act for a moment only
+    changes, section = found([limit] * 3 + [none] * 3, [0.02] * 3 + [0.08] * 3)
+    assert key not in changes
+    assert section.verdict == "warning"
+    assert any(f"A limit of the {name.split('_')[0]} is seen in legs 1, 2, 3: too few" in s for s in section.sentences)
+    assert found([limit] * 2 + [none] * 4, [0.02] * 2 + [0.08] * 4)[0][key] is None
+    unknown = Interval(0.02, -np.inf, np.inf)
+    assert key not in found([unknown] * 6, [0.02] * 6)[0]
+    changes, section = found([limit] * 4 + [none] * 2, [0.02] * 4 + [0.02, 0.08])
+    assert changes[key] == 0.02
+    assert section.verdict == "warning"
+    assert any("theirs; leg 6 went beyond it" in sentence for sentence in section.sentences)
+
+
 def test_the_lag_of_a_fast_leg_at_an_edge_is_not_determined() -> None:
     """Its true bandwidth may be beyond what is searched, and the lag of that is shorter."""
     random = np.random.default_rng(SEED)

@@ -52,9 +52,10 @@ class DriveFit:
     bandwidth: Interval | None  # [Hz]; None of a leg that hardly moved, as all that follows
     damping: Interval | None  # [1]
     delay: Interval | None  # [ticks]; no upper end where `MOST_DELAY` is as likely as the value
-    speed_limit: Interval | None  # [m/s], or [rad/s]; None where no limit is seen: then `fastest` was
-    acceleration_limit: Interval | None  # [m/s^2], or [rad/s^2]; likewise
+    speed_limit: Interval | None  # [m/s], or [rad/s]; None where no limit is seen: `fastest` was
+    acceleration_limit: Interval | None  # [m/s^2], or [rad/s^2]; likewise, `hardest` was
     fastest: float  # [m/s], or [rad/s], of the response that was fitted
+    hardest: float  # [m/s^2], or [rad/s^2]: acceleration of it, means over ticks
     noise: float  # standard deviation of what the fit leaves [m], or [rad]
     correlated: float  # ticks over which what it leaves is correlated, 1 of white noise
     explained: float | None  # share of the variance of the part kept apart that is predicted, 1: all; None: rests there
@@ -251,7 +252,7 @@ def _described(record: _Record, leg: int, models: Sequence[_Model]) -> tuple[Dri
     finer = int(np.clip(_MOST_STEPS // len(record.joints), 1, _FINER))
     if not models:
         still = np.full(finer * len(record.joints), record.joints[: record.fitted].mean())
-        return DriveFit(leg, None, None, None, None, None, 0.0, scatter(record.joints), 1.0, None), still
+        return DriveFit(leg, None, None, None, None, None, 0.0, 0.0, scatter(record.joints), 1.0, None), still
     best = _best(models)
     alike = _alike(best, models)
     delays = [model.delay for model in alike]
@@ -269,6 +270,7 @@ def _described(record: _Record, leg: int, models: Sequence[_Model]) -> tuple[Dri
             speed_limit=_hull(best, alike, 2) if best.limits[0] else None,
             acceleration_limit=_hull(best, alike, 3) if best.limits[1] else None,
             fastest=float(np.abs(np.diff(predicted[: record.fitted])).max() / record.period),
+            hardest=float(np.abs(np.diff(predicted[: record.fitted], n=2)).max() / record.period**2),
             noise=best.noise,
             correlated=best.correlated,
             explained=record.explained(predicted),
