@@ -76,13 +76,14 @@ def of_law(machine: Scenario, changes: Mapping[str, Any]) -> dict[str, Any]:
     return {"controller.tracking.noise": noise}
 
 
-def faults_of(scenario: Scenario, camera: CameraFit | None) -> dict[str, Any]:
+def faults_of(scenario: Scenario, drives: Drives, camera: CameraFit | None) -> dict[str, Any]:
     """Return the key of exposure times that are wrong by more than half a tick, as the logged machine has them.
 
     It is no key of the identified scenario, whose exported controller would assume that error. None of a machine whose
-    latency is not known (`camera.latency_known: false`): its controller uses no exposure times.
+    latency is not known (`camera.latency_known: false`): its controller uses no exposure times. None of a log whose
+    joints do not follow the commands either: the images may be of other joints.
     """
-    if not scenario.camera.latency_known:
+    if not scenario.camera.latency_known or not drives.explains:
         return {}
     if camera is None or not camera.explains or camera.stamps is None or not camera.stamps_are_wrong:
         return {}

@@ -8,14 +8,13 @@ from dataclasses import asdict
 import numpy as np
 
 from hexservo.findings.evidence import Cell, Column, Curves, Line, Section, Table, Verdict
-from hexservo.findings.identification.drives import MOST_DELAY, DriveFit, Drives
+from hexservo.findings.identification.drives import GOOD, MOST_DELAY, DriveFit, Drives
 from hexservo.findings.identification.interval import Interval
 from hexservo.findings.identification.motors import MotorFit
 from hexservo.findings.identification.one_drive import AGREEMENT, LIMITS, LimitName, Response, limit_of, response_of
 from hexservo.scenario.wording import below, number
 
 _PAGE = "docs/identification.md"
-GOOD = 0.95  # share of the part kept apart that a model should predict
 _LASTING = 5.0  # ticks over which residuals may be correlated without a word
 _ALIKE = 1.1  # ratio of two legs' bandwidths that is not worth a word
 
@@ -162,6 +161,13 @@ def _of_the_prediction(found: Drives) -> str:
     if worst is None or worst.explained is None:
         return (
             f"No leg moves in the {number(found.apart)} s that were kept apart: what the model predicts is not known."
+        )
+    if found.if_exchanged is not None:
+        return (
+            f"The model predicts {at_most(worst.explained)} of the motion of leg {worst.leg} in the "
+            f"{number(found.apart)} s that were kept apart, and with commands and joints exchanged "
+            f"{below(100 * found.if_exchanged, 4)} %: they are exchanged in the log, and no key of the drives is taken "
+            "over."
         )
     if not found.explains:
         return (
