@@ -13,10 +13,10 @@ from typer.testing import CliRunner
 import hexservo as hs
 from hexservo.cli.commands import app
 from hexservo.findings.analysis.scene import Scene
-from hexservo.findings.identification.changes import changes_of
+from hexservo.findings.identification.changes import changes_of, faults_of
 from hexservo.findings.identification.drives import MOST_DELAY, Drives, fit_drives
 from hexservo.findings.identification.drives_words import with_interval
-from hexservo.findings.identification.frames import fit_camera
+from hexservo.findings.identification.frames import CameraFit, fit_camera
 from hexservo.findings.identification.interval import Interval
 from hexservo.findings.identification.log import Log
 from recorded_machines import Drive, record, wandering
@@ -153,6 +153,40 @@ def test_no_key_is_taken_from_legs_of_which_little_is_predicted(
         assert useless.section().verdict == "bad"
 
 
+@pytest.mark.parametrize(("name", "reached"), [("speed_limit", "fastest"), ("acceleration_limit", "hardest")])
+def test_a_limit_that_the_log_does_not_determine_is_the_one_that_is_given(
+    slow_legs: tuple[Log, Drives], name: str, reached: str
+) -> None:
+    log, slow = slow_legs
+    key = f"actuators.position.{name}"
+    machine = hs.load_scenario("pi-h824-positions", {key: 0.02})
+    known = [Interval(8.0, 7.9, 8.1)] * 6
+    limit, none = Interval(0.02, 0.0199, 0.0201), None
+
+    def found(limits: list[Interval | None], most: list[float]) -> tuple[dict[str, Any], Any]:
+        numbers: dict[str, list[Any]] = {name: limits, reached: most}
+        drives = with_fits(slow, bandwidth=known, damping=known, **numbers)
+        return changes_of(log, machine, drives, None), drives.section()
+
+    changes, section = found([none] * 6, [0.004] * 6)
+    assert key not in changes
+    assert section.verdict == "good"
+    for most in ([0.03] * 6, [0.03] + 5 * [0.004]):  # legs that are too slow for the limit do not show that it acts
+        assert found([none] * 6, most)[0][key] is None
+    assert key not in found([none] * 6, [0.0215] * 6)[0]  # it would act for a moment only
+    changes, section = found([limit] * 3 + [none] * 3, [0.02] * 3 + [0.08] * 3)
+    assert key not in changes
+    assert section.verdict == "warning"
+    assert any(f"A limit of the {name.split('_')[0]} is seen in legs 1, 2, 3: too few" in s for s in section.sentences)
+    assert found([limit] * 2 + [none] * 4, [0.02] * 2 + [0.08] * 4)[0][key] is None
+    unknown = Interval(0.02, -np.inf, np.inf)
+    assert key not in found([unknown] * 6, [0.02] * 6)[0]
+    changes, section = found([limit] * 4 + [none] * 2, [0.02] * 4 + [0.02, 0.08])
+    assert changes[key] == 0.02
+    assert section.verdict == "warning"
+    assert any("theirs; leg 6 went beyond it" in sentence for sentence in section.sentences)
+
+
 def test_the_lag_of_a_fast_leg_at_an_edge_is_not_determined() -> None:
     """Its true bandwidth may be beyond what is searched, and the lag of that is shorter."""
     random = np.random.default_rng(SEED)
@@ -182,9 +216,33 @@ def test_joints_that_do_not_follow_the_commands_give_no_drive(paper: hs.Scenario
     assert not found.explains
     section = found.section()
     assert section.verdict == "bad"
-    assert "commands and joints exchanged, or of opposite sign" in section.sentences[0]
+    reason = "exchanged, or of opposite sign" if change == "opposite" else "they are exchanged in the log"
+    assert reason in section.sentences[0]
     assert "predicts at least" not in section.sentences[0]
     assert not any(key.startswith("actuators") for key in changes_of(log, paper, found, None))
+
+
+def test_exchanged_commands_and_joints_give_no_key_and_no_error_of_exposure_times(paper: hs.Scenario) -> None:
+    """Quick drives answer so soon that a ringing response to the joints predicts more than half of the commands."""
+    random = np.random.default_rng(SEED)
+    commands = np.full((250, 6), 0.2)
+    commands[:, 3] += wandering(random, 250, 0.02, 0.004, 0.5)[:, 3]
+    log = record(commands, 0.02, [Drive(10.0, 1.0)] * 6, 1e-6, random)
+    log = replace(log, joints=log.commands, commands=log.joints, frames=seen_log(paper, 0.05, stamps=0.0).frames)
+    found = fit_drives(log, METRES, delays=(0,))
+    assert found.worst is not None
+    assert found.worst.explained is not None
+    assert 0.5 < found.worst.explained < 0.95
+    section = found.section()
+    assert section.verdict == "bad"
+    assert "they are exchanged in the log" in section.sentences[0]
+    camera = fit_camera(log, Scene(paper), found)
+    assert "exchanged" in camera.section().sentences[0]
+    assert set(changes_of(log, paper, found, camera)) == {"simulation.mode", "simulation.step"}
+    wrong = CameraFit(100, explained=1.0, stamps=Interval(0.05, 0.049, 0.051))
+    scenario = hs.load_scenario("pi-h824-positions")
+    assert faults_of(scenario, drives_of_seen_log(), wrong)
+    assert faults_of(scenario, found, wrong) == {}
 
 
 def test_diagnose_names_what_the_log_does_not_give(paper: hs.Scenario, tmp_path: Path) -> None:

@@ -340,13 +340,13 @@ def test_exposure_times_that_are_wrong_are_a_fault_and_no_key(paper: hs.Scenario
     log = seen_log(paper, 0.05, stamps=0.008)
     camera = fit_camera(log, Scene(paper))
     scenario = paper.updated({"simulation.mode": "sampled", "simulation.step": 0.01, "camera.latency": 0.05})
-    assert faults_of(scenario, camera) == {"uncertainty.latency": -0.01}
+    assert faults_of(scenario, drives_of_seen_log(), camera) == {"uncertainty.latency": -0.01}
     assert not any(key.startswith("uncertainty") for key in changes_of(log, paper, drives_of_seen_log(), camera))
     section = camera.section()
     assert section.verdict == "warning"
     assert any("before what they state" in words for words in section.sentences)
     right = fit_camera(seen_log(paper, 0.05, stamps=0.0), Scene(paper))
-    assert faults_of(scenario, right) == faults_of(scenario, None) == {}
+    assert faults_of(scenario, drives_of_seen_log(), right) == faults_of(scenario, drives_of_seen_log(), None) == {}
     assert right.section().verdict == "good"
 
 
@@ -355,8 +355,8 @@ def test_a_machine_of_unknown_latency_uses_no_exposure_times_that_may_be_wrong(p
     machine = hs.load_scenario("pi-h824-positions", {"camera.latency_known": False})
     log = seen_log(paper, 0.05, stamps=0.02)
     camera = fit_camera(log, Scene(paper))
-    assert faults_of(machine, camera) == {}
-    assert faults_of(machine.updated({"camera.latency_known": True}), camera)
+    assert faults_of(machine, drives_of_seen_log(), camera) == {}
+    assert faults_of(machine.updated({"camera.latency_known": True}), drives_of_seen_log(), camera)
 
 
 def test_a_target_of_another_size_gives_no_noise_and_no_good_camera(paper: hs.Scenario) -> None:

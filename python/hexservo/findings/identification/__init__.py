@@ -120,7 +120,7 @@ def identify(
     scene = Scene(machine)
     camera = None if record.frames is None else fit_camera(record, scene, drives)
     found = None
-    if motors:
+    if motors and drives.if_exchanged is None:
         with reporting(progress, "delays of motors tried") as report:
             found = fit_motors(record, machine, drives, report)
         if found is not None and found.explains:  # one delay for the motors and for what the controller takes them for
@@ -137,6 +137,6 @@ def identify(
         camera,
         found,
         rounded,
-        faults_of(scenario, camera),
+        faults_of(scenario, drives, camera),
         end_of(record, scene, feature_noise(scenario.camera)),
     )

@@ -13,7 +13,7 @@ from hexservo.findings.identification.drives import MOST_DELAY, Drives
 from hexservo.findings.identification.frames import CameraFit
 from hexservo.findings.identification.log import Log
 from hexservo.findings.identification.motors import MotorFit
-from hexservo.findings.identification.one_drive import mean_of, response_of
+from hexservo.findings.identification.one_drive import LIMITS, limit_of, response_of
 from hexservo.findings.part import Part
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.laws import POSE_LAW
@@ -55,7 +55,7 @@ def changes_of(
     changes = ticks_of(log, machine)
     step = changes["simulation.step"]
     if drives.moved and drives.explains:
-        changes |= {"actuators.kind": "position"} | _of_drives(drives, step)
+        changes |= {"actuators.kind": "position"} | _of_drives(drives, machine, step)
     if camera is not None and camera.explains:
         changes |= _of_camera(camera, machine, step)
     if motors is not None and motors.explains:
@@ -76,13 +76,14 @@ def of_law(machine: Scenario, changes: Mapping[str, Any]) -> dict[str, Any]:
     return {"controller.tracking.noise": noise}
 
 
-def faults_of(scenario: Scenario, camera: CameraFit | None) -> dict[str, Any]:
+def faults_of(scenario: Scenario, drives: Drives, camera: CameraFit | None) -> dict[str, Any]:
     """Return the key of exposure times that are wrong by more than half a tick, as the logged machine has them.
 
     It is no key of the identified scenario, whose exported controller would assume that error. None of a machine whose
-    latency is not known (`camera.latency_known: false`): its controller uses no exposure times.
+    latency is not known (`camera.latency_known: false`): its controller uses no exposure times. None of a log whose
+    joints do not follow the commands either: the images may be of other joints.
     """
-    if not scenario.camera.latency_known:
+    if not scenario.camera.latency_known or not drives.explains:
         return {}
     if camera is None or not camera.explains or camera.stamps is None or not camera.stamps_are_wrong:
         return {}
@@ -115,7 +116,7 @@ def in_whole_ticks(machine: Scenario, changes: Mapping[str, Any]) -> dict[str, A
     return rounded
 
 
-def _of_drives(drives: Drives, step: float) -> dict[str, Any]:
+def _of_drives(drives: Drives, machine: Scenario, step: float) -> dict[str, Any]:
     changes: dict[str, Any] = {}
     delay = round(float(np.median([fit.delay.value for fit in drives.taken if fit.delay is not None])))
     if delay < MOST_DELAY:  # at which the true one may be longer
@@ -123,9 +124,12 @@ def _of_drives(drives: Drives, step: float) -> dict[str, Any]:
     if (response := response_of(drives)) is not None:
         changes |= {"actuators.position.bandwidth": _digits(response.bandwidth)}
         changes |= {"actuators.position.damping": _digits(response.damping)}
-    for name in ("speed_limit", "acceleration_limit"):
-        limit = mean_of([getattr(fit, name) for fit in drives.taken])
-        changes[f"actuators.position.{name}"] = None if limit is None else _digits(limit)  # None: no limit
+    for name in LIMITS:
+        key, limit = f"actuators.position.{name}", limit_of(drives, name)
+        if limit.value is not None:
+            changes[key] = _digits(limit.value)
+        elif limit.is_none(value_at(machine, key)):
+            changes[key] = None
     return changes
 
 

@@ -7,7 +7,7 @@ commands alone, by least squares on the first part of the record. The rest is pr
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
@@ -29,6 +29,9 @@ MOST_DELAY = _core.MAX_ACTUATOR_DELAY  # [ticks]
 MAJORITY = 4
 """Legs of which a value is known, for a scenario to have it."""
 
+GOOD = 0.95
+"""Share of the part kept apart that a model should predict."""
+
 _BANDWIDTHS = 9  # of a coarse grid, from 1/400 of the fastest that ticks show
 _DAMPINGS = (0.35, 0.8, 1.6)
 _LIMITS = ((False, False), (True, False), (False, True), (True, True))  # of speed and acceleration: which act
@@ -40,6 +43,7 @@ _TRIED = 3  # delays that are fitted of those that start best
 _WHITE = 1.3  # ticks over which residuals of a fit that found the true drive are correlated, at most
 _STARTS = 4  # from which a fit is tried again whose residuals are correlated further
 _WORTH = 10.0  # of the criterion by Bayes: what a limit must gain to count
+_LESS = 0.25  # of what a fit leaves in the part kept apart: with less, commands and joints are exchanged
 _FINER = 8  # steps in a tick that the response is given for, of a log that is not long
 _MOST_STEPS = 400_000  # of these
 
@@ -52,9 +56,10 @@ class DriveFit:
     bandwidth: Interval | None  # [Hz]; None of a leg that hardly moved, as all that follows
     damping: Interval | None  # [1]
     delay: Interval | None  # [ticks]; no upper end where `MOST_DELAY` is as likely as the value
-    speed_limit: Interval | None  # [m/s], or [rad/s]; None where no limit is seen: then `fastest` was
-    acceleration_limit: Interval | None  # [m/s^2], or [rad/s^2]; likewise
+    speed_limit: Interval | None  # [m/s], or [rad/s]; None where no limit is seen: `fastest` was
+    acceleration_limit: Interval | None  # [m/s^2], or [rad/s^2]; likewise, `hardest` was
     fastest: float  # [m/s], or [rad/s], of the response that was fitted
+    hardest: float  # [m/s^2], or [rad/s^2]: acceleration of it, means over ticks
     noise: float  # standard deviation of what the fit leaves [m], or [rad]
     correlated: float  # ticks over which what it leaves is correlated, 1 of white noise
     explained: float | None  # share of the variance of the part kept apart that is predicted, 1: all; None: rests there
@@ -81,6 +86,8 @@ class Drives(Part):
     measured: Array = field(repr=False)  # (k, 6)
     predicted: Array = field(repr=False)  # (k, 6)
     finely: Array = field(repr=False)  # (n f, 6) predicted from the first tick on, at f equal steps in each tick
+    if_exchanged: float | None = None  # share of the motion of the worst leg that is predicted with its commands and
+    # joints exchanged, where that is clearly more; else None
 
     @property
     def moved(self) -> list[DriveFit]:
@@ -103,9 +110,11 @@ class Drives(Part):
         """Whether the model is of these legs at all, as far as the part kept apart shows it.
 
         It predicts half of the motion of enough legs, and something of each: where it predicts nothing of a leg, that
-        one does not do what it is commanded.
+        one does not do what it is commanded. Nor is it where the commands follow the joints.
         """
         worst = self.worst
+        if self.if_exchanged is not None:
+            return False
         if worst is None or worst.explained is None:
             return True
         return worst.explained > 0.0 and are_enough(len(self.taken), len(self.moved))
@@ -181,7 +190,7 @@ def fit_drives(
     finely = np.stack([prediction for _, prediction in described], axis=1)
     predicted = finely[:: len(finely) // len(log.time)]
     shown = slice(fitted, None, max(1, (len(log.time) - fitted) // 500))
-    return Drives(
+    drives = Drives(
         fits=tuple(fit for fit, _ in described),
         period=log.period,
         fitted=fitted * log.period,
@@ -192,6 +201,19 @@ def fit_drives(
         predicted=predicted[shown],
         finely=finely,
     )
+    return replace(drives, if_exchanged=_if_exchanged(log, drives, fitted, delays))
+
+
+def _if_exchanged(log: Log, drives: Drives, fitted: int, delays: Sequence[int]) -> float | None:
+    """Return what is predicted of the motion of the worst leg if the commands are its joints, if it is clearly more."""
+    worst = drives.worst
+    if worst is None or worst.explained is None or (worst.explained >= GOOD and worst.response_is_known):
+        return None
+    record = _record(replace(log, commands=log.joints, joints=log.commands), worst.leg - 1, fitted)
+    best = _best(_search(record, delays))
+    explained = record.explained(record.response(best.delay, best.values))
+    clearly = explained is not None and explained >= GOOD and 1.0 - explained < _LESS * (1.0 - worst.explained)
+    return explained if clearly else None
 
 
 def _record(log: Log, leg: int, fitted: int) -> _Record:
@@ -251,7 +273,7 @@ def _described(record: _Record, leg: int, models: Sequence[_Model]) -> tuple[Dri
     finer = int(np.clip(_MOST_STEPS // len(record.joints), 1, _FINER))
     if not models:
         still = np.full(finer * len(record.joints), record.joints[: record.fitted].mean())
-        return DriveFit(leg, None, None, None, None, None, 0.0, scatter(record.joints), 1.0, None), still
+        return DriveFit(leg, None, None, None, None, None, 0.0, 0.0, scatter(record.joints), 1.0, None), still
     best = _best(models)
     alike = _alike(best, models)
     delays = [model.delay for model in alike]
@@ -269,6 +291,7 @@ def _described(record: _Record, leg: int, models: Sequence[_Model]) -> tuple[Dri
             speed_limit=_hull(best, alike, 2) if best.limits[0] else None,
             acceleration_limit=_hull(best, alike, 3) if best.limits[1] else None,
             fastest=float(np.abs(np.diff(predicted[: record.fitted])).max() / record.period),
+            hardest=float(np.abs(np.diff(predicted[: record.fitted], n=2)).max() / record.period**2),
             noise=best.noise,
             correlated=best.correlated,
             explained=record.explained(predicted),

@@ -8,14 +8,13 @@ from dataclasses import asdict
 import numpy as np
 
 from hexservo.findings.evidence import Cell, Column, Curves, Line, Section, Table, Verdict
-from hexservo.findings.identification.drives import MOST_DELAY, DriveFit, Drives
+from hexservo.findings.identification.drives import GOOD, MOST_DELAY, DriveFit, Drives
 from hexservo.findings.identification.interval import Interval
 from hexservo.findings.identification.motors import MotorFit
-from hexservo.findings.identification.one_drive import AGREEMENT, Response, response_of
+from hexservo.findings.identification.one_drive import AGREEMENT, LIMITS, LimitName, Response, limit_of, response_of
 from hexservo.scenario.wording import below, number
 
 _PAGE = "docs/identification.md"
-GOOD = 0.95  # share of the part kept apart that a model should predict
 _LASTING = 5.0  # ticks over which residuals may be correlated without a word
 _ALIKE = 1.1  # ratio of two legs' bandwidths that is not worth a word
 
@@ -29,8 +28,8 @@ def section(found: Drives) -> Section:
             with_interval(fit.bandwidth),
             with_interval(fit.damping),
             with_interval(fit.delay),
-            _limit(fit.speed_limit, fit),
-            with_interval(fit.acceleration_limit) or "not seen",
+            _limit(fit.speed_limit, fit, fit.fastest),
+            _limit(fit.acceleration_limit, fit, fit.hardest),
             _rests(fit),
             1e3 * fit.noise,
             None if fit.explained is None else 100.0 * fit.explained,
@@ -88,10 +87,10 @@ def _digits(found: Interval) -> int:
     return int(np.clip(2 + np.floor(np.log10(abs(found.value) / width)) + 1, 3, 9))
 
 
-def _limit(found: Interval | None, fit: DriveFit) -> Cell:
+def _limit(found: Interval | None, fit: DriveFit, reached: float) -> Cell:
     if fit.bandwidth is None:
         return None
-    return with_interval(found) or f"not seen up to {number(fit.fastest)}"
+    return with_interval(found) or f"not seen up to {number(reached)}"
 
 
 def _rests(fit: DriveFit) -> Cell:
@@ -106,7 +105,8 @@ def _verdict(found: Drives) -> Verdict:
     if not found.explains:
         return "bad"
     known = all(one is not None and one.is_bounded for fit in found.fits for one in _values(fit))
-    return "good" if known and all((fit.explained or 0.0) >= GOOD for fit in found.fits) else "warning"
+    alike = not any(_of_a_limit(found, name) for name in LIMITS)
+    return "good" if known and alike and all((fit.explained or 0.0) >= GOOD for fit in found.fits) else "warning"
 
 
 def _values(fit: DriveFit) -> tuple[Interval | None, ...]:
@@ -140,6 +140,7 @@ def _sentences(found: Drives) -> list[str]:
             f"The legs differ: bandwidths from {number(min(bandwidths))} to {number(max(bandwidths))} Hz. A "
             "scenario has one for all, the mean weighted by how well each is known."
         )
+    words += [word for name in LIMITS for word in _of_a_limit(found, name)]
     lasting = max(moved, key=lambda fit: fit.correlated)
     held = [(fit.leg, fit.rests) for fit in moved if fit.rests is not None and fit.rests.short.low > 0.0]
     lacking = "the model lacks, such as friction, backlash or the steps of an encoder"
@@ -160,6 +161,13 @@ def _of_the_prediction(found: Drives) -> str:
     if worst is None or worst.explained is None:
         return (
             f"No leg moves in the {number(found.apart)} s that were kept apart: what the model predicts is not known."
+        )
+    if found.if_exchanged is not None:
+        return (
+            f"The model predicts {at_most(worst.explained)} of the motion of leg {worst.leg} in the "
+            f"{number(found.apart)} s that were kept apart, and with commands and joints exchanged "
+            f"{below(100 * found.if_exchanged, 4)} %: they are exchanged in the log, and no key of the drives is taken "
+            "over."
         )
     if not found.explains:
         return (
@@ -203,6 +211,19 @@ def _of_the_edges(found: Drives) -> list[str]:
             "determine them, and not 2 zeta/omega either."
         )
     return [*words, _of_the_keys(response_of(found))] if doubtful else words
+
+
+def _of_a_limit(found: Drives, name: LimitName) -> list[str]:
+    """Return what to know of a limit that some legs show and others do not, or of which no value is known."""
+    limit, key = limit_of(found, name), f"`actuators.position.{name}`"
+    shown = f"A limit of the {name.removesuffix('_limit')} is seen in {_legs(limit.seen)}" if limit.seen else ""
+    if shown and limit.value is None:
+        return [f"{shown}: too few of which it is known for the key {key}, which is not taken from them."]
+    beyond = [] if limit.value is None else limit.exceeded(limit.value)
+    if shown and beyond:
+        others = [fit for fit in found.taken if fit.leg in beyond]
+        return [f"{shown}, and the key {key} is theirs; {_legs(others)} went beyond it."]
+    return []
 
 
 def _of_the_keys(response: Response | None) -> str:

@@ -146,6 +146,10 @@ def fit_camera(log: Log, scene: Scene, drives: Drives | None = None) -> CameraFi
     count = 0 if frames is None else len(frames.arrival)
     if frames is None or count < _FEWEST:
         return CameraFit(count, open=f"expected at least {_FEWEST} frames in the log, got {count}")
+    if drives is not None and drives.if_exchanged is not None:
+        return CameraFit(
+            count, open="commands and joints of the log are exchanged, and the image is that of the joints"
+        )
     if reason := _not_fitted(scene, frames):
         return CameraFit(count, open=reason)
     repeats = _repeats(log, frames)

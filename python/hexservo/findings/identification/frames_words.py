@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict
 
 from hexservo.findings.evidence import Column, Section, Table, Verdict
-from hexservo.findings.identification.drives_words import GOOD, at_most, with_interval
+from hexservo.findings.identification.drives import GOOD
+from hexservo.findings.identification.drives_words import at_most, with_interval
 from hexservo.findings.identification.frames import MOST_LATENCY, CameraFit
 from hexservo.findings.identification.interval import Interval
 from hexservo.scenario.wording import number

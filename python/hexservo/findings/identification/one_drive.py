@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from hexservo.findings.identification.drives import MAJORITY, DriveFit, Drives, are_enough
 from hexservo.findings.identification.interval import Interval
 
-__all__ = ["Response", "mean_of", "response_of"]
+__all__ = ["Limit", "Response", "limit_of", "mean_of", "response_of"]
 
+LimitName: TypeAlias = Literal["speed_limit", "acceleration_limit"]
+LIMITS: tuple[LimitName, ...] = ("speed_limit", "acceleration_limit")
 
 AGREEMENT = 1.5
 """Ratio of the lags of legs that agree."""
+
+_BEYOND = 1.1  # times a limit, from which on a leg is beyond it: below, it would act for so short that it is not seen
 
 
 @dataclass(frozen=True)
@@ -44,6 +49,34 @@ def response_of(drives: Drives) -> Response | None:
     if len(lags) < MAJORITY or max(lags) > AGREEMENT * min(lags):
         return None
     return replace(_with_lag(float(np.exp(np.mean(np.log(lags)))), best), by_agreement=True)
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A limit of the drives that keys are taken from: of the speed, or of the acceleration."""
+
+    value: float | None  # for all legs [m/s; m/s^2], or [rad/s; rad/s^2]; None where it is not known
+    seen: Sequence[DriveFit]  # legs that the log shows it of
+    reached: Mapping[int, float]  # by leg, of the others: the largest speed or acceleration, in which there is no limit
+
+    def exceeded(self, limit: float) -> list[int]:
+        """Return the legs that were clearly beyond a limit without one."""
+        return [leg for leg, most in self.reached.items() if most > _BEYOND * limit]
+
+    def is_none(self, given: float | None) -> bool:
+        """Whether the legs have no limit as the given one: enough of those that show anything went beyond it."""
+        beyond = [] if given is None or self.value is not None else self.exceeded(given)
+        return are_enough(len(beyond), len(beyond) + len(self.seen))
+
+
+def limit_of(drives: Drives, name: LimitName) -> Limit:
+    """Return what a log shows of `speed_limit` or `acceleration_limit`."""
+    reached = "fastest" if name == "speed_limit" else "hardest"
+    return Limit(
+        mean_of([getattr(fit, name) for fit in drives.taken]),
+        [fit for fit in drives.taken if getattr(fit, name) is not None],
+        {fit.leg: getattr(fit, reached) for fit in drives.taken if getattr(fit, name) is None},
+    )
 
 
 def _with_lag(lag: float, fits: Sequence[DriveFit]) -> Response:
