@@ -297,7 +297,9 @@ def reader(
     show("period", {namespace}::period);
 {shows}  }}
 """
-    program = f"{includes}{PROGRAM}int main(int, char** arguments) {{\n{calls}}}\n"
+    # of the library, which is not linked here
+    other_flags = "template <int> bool hexservo::library_was_built_with_other_instruction_set_flags() noexcept"
+    program = f"{includes}{other_flags} {{ return false; }}\n{PROGRAM}int main(int, char** arguments) {{\n{calls}}}\n"
     (folder / "main.cpp").write_text(program, encoding="utf-8")
     core = ROOT / "cpp"
     headers = ["-I", str(core / "include"), "-isystem", str(EIGEN)]
