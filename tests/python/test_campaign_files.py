@@ -252,7 +252,7 @@ def test_a_distance_is_finite_whatever_its_scale(required: Any) -> None:
 
 def test_a_resolved_file_is_the_same_campaign() -> None:
     plan = PLAN.changed(
-        require=["rms_error <= 1", {"holds": "overshoot < 0", "scale": 4.0}], until={"width_below": 1e-3}
+        require=["rms_error <= 1", {"holds": "overshoot <= 0", "scale": 4.0}], until={"width_below": 1e-3}
     )
     again = CampaignPlan(**load_yaml(plan.to_yaml()))  # type: ignore[arg-type]
     assert again == plan
@@ -380,6 +380,23 @@ REFUSED = [
     ({"require": ["outcome == diverged"]}, r'require\[0\]: expected "outcome == completed"'),
     ({"require": ["overshoot <= 0"]}, r"require\[0\]: expected a scale for a bound of 0"),
     ({"require": [{"holds": "overshoot <= 0", "scale": 0}]}, r"require\[0\].scale: expected a number > 0, got 0"),
+    ({"require": ["settling_time <= -1"]}, r"require\[0\]: settling_time: expected a bound that a run can keep, as no"),
+    (
+        {"require": [{"holds": "overshoot < 0", "scale": 1}]},
+        "overshoot: expected a bound that a run can keep, .*got over",
+    ),
+    ({"require": ["final_error >= -1"]}, "final_error: expected a bound that a run can miss, as no metric is negative"),
+    ({"require": ["final_error > -1"]}, "final_error: expected a bound that a run can miss"),
+    (
+        {"require": [{"holds": "effort >= 0", "scale": 1}]},
+        'got effort >= 0.0; that a run completes is "outcome == comp',
+    ),
+    (
+        {"require": ["rms_error >= 0.2", "effort <= 1", "rms_error <= 0.01"]},
+        r"require\[2\]: rms_error: expected bounds with a value between, got rms_error <= 0.01, rms_error >= 0.2",
+    ),
+    ({"require": ["rms_error > 0.2", "rms_error <= 0.2"]}, "expected bounds with a value between"),
+    ({"require": ["rms_error >= 0.2", "rms_error < 0.2"]}, "expected bounds with a value between"),
     ({"require": ["effort <= 1", "effort <= 1.0"]}, 'require: "effort <= 1.0": duplicate requirement'),
     (
         {"require": ["effort <= 1", "peak_leg_speed <= 0.2"]},
@@ -563,6 +580,19 @@ def test_refusals(change: dict[str, Any], message: str) -> None:
 )
 def test_a_bound_that_some_run_can_reach_is_accepted(change: dict[str, Any]) -> None:
     CampaignPlan(**{"scenario": HALF_A_SECOND, "vary": VARIED, "runs": 1, **change})
+
+
+@pytest.mark.parametrize(
+    "require",
+    [
+        [{"holds": "overshoot <= 0", "scale": 1.0}],
+        [{"holds": "overshoot > 0", "scale": 1.0}],
+        ["rms_error >= 0.2", "rms_error <= 0.2"],
+        ["rms_error <= 0.2", "final_error >= 0.3"],
+    ],
+)
+def test_a_bound_that_some_run_keeps_and_another_misses_is_accepted(require: list[Any]) -> None:
+    CampaignPlan(scenario="composite-30hz", vary=VARIED, require=require, runs=1)
 
 
 def test_no_such_campaign() -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +20,7 @@ from hexservo.campaigns.intervals import (
     Mixture,
     anytime_interval,
     clopper_pearson,
+    joint_confidence,
     runs_for_bound,
 )
 from hexservo.campaigns.plan import load_plan
@@ -100,6 +103,45 @@ def test_the_ends_are_where_the_martingale_reaches_its_bound(k: int, n: int, mix
             rounding = 8 * 2.0**-53 * (n + mixture.b + 10) * math.log(n + mixture.b + 10)  # as above
             tolerance = rounding + 1e-10 * abs(n * end - k) / (1 - end)  # and the end, to 1e-10 of itself
             assert log_martingale(end, k, n, mixture) == pytest.approx(math.log(100), abs=tolerance)
+
+
+def test_the_pages_have_the_intervals_of_their_counts() -> None:
+    pages = Path(__file__).parents[2] / "docs"
+    table = (pages / "robustness.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(campaign-\S+)` \| ([\d ]+) \| ([\d ]+) \| (\S+) \.\.\. (\S+) \|", table, re.MULTILINE)
+    assert len(rows) == 4
+    ends = {}
+    for name, *counts, low, high in rows:
+        runs, failures = (int(count.replace(" ", "")) for count in counts)
+        exact = load_plan(name).interval(failures, runs)
+        ends[name] = (float(low), float(high))
+        assert ends[name] == pytest.approx(exact, rel=5e-3)  # 3 digits
+    claims = (pages / "claims.md").read_text(encoding="utf-8")
+    low, high = ends["campaign-paper-gravity"]
+    assert (
+        f"{ends['campaign-paper'][1]:.3g}; {low:.3f} to {high:.3f} (95 %, at any stop)".replace("e-0", "e-") in claims
+    )
+
+
+@pytest.mark.parametrize(
+    ("confidence", "intervals", "together"),
+    [
+        (0.95, 1, "0.95"),
+        (0.95, 3, "0.85"),
+        (0.95, 21, "0.0"),
+        (0.99999, 2, "0.99998"),
+        (0.9999999999999999, 3, "0.9999999999999997"),
+    ],
+)
+def test_a_confidence_is_never_written_larger_than_it_is(confidence: float, intervals: int, together: str) -> None:
+    assert str(joint_confidence(confidence, intervals)) == together
+    plan = load_plan("campaign-paper").changed(
+        confidence=confidence, require=[f"final_error <= {1 + bound}" for bound in range(intervals)], runs=1
+    )
+    section = summary_section(summary_of(plan, new_record(plan), Tally([0] * intervals)))
+    assert f"with a confidence of {confidence} that holds" in section.sentences[0]
+    note = f"Each interval has the confidence of {confidence}; all of them together have {together}."
+    assert section.items[0].note == note
 
 
 def test_intervals_narrow_with_runs_and_widen_with_confidence() -> None:

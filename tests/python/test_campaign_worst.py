@@ -14,10 +14,13 @@ import numpy as np
 import pytest
 
 import hexservo as hs
+from hexservo.campaigns import worst_case
 from hexservo.campaigns.distributions import variation_of
 from hexservo.campaigns.judging import Judge
 from hexservo.campaigns.plan import load_plan
+from hexservo.campaigns.requirements import requirement_of
 from hexservo.campaigns.worst_case import WorstCase, smallest_in_box
+from hexservo.findings.diagnosis import Diagnosis
 from hexservo.scenario.arrays import Array
 from test_terminal import invoke
 
@@ -236,6 +239,56 @@ def test_a_worst_case_that_fails_has_a_diagnosis(tmp_path: Path) -> None:
     unnamed = tuple(dataclasses.replace(cause, named=False) for cause in case.diagnosis.causes)
     other = dataclasses.replace(case, diagnosis=dataclasses.replace(case.diagnosis, causes=unnamed))
     assert other.section().sentences[2].startswith("Not explained")
+
+
+TOO_SHORT = FILE["scenario"].updated(
+    {"simulation.duration": 0.5, "uncertainty.gravity": 0.09, "uncertainty.depth": -0.3}
+)
+
+
+@pytest.fixture(scope="module")
+def too_short() -> Diagnosis:
+    """Of a run that is too short to settle: 2 s are enough, in which the legs travel farther."""
+    found = hs.diagnose(hs.simulate(TOO_SHORT))
+    longer = hs.metrics(hs.simulate(TOO_SHORT.updated({"simulation.duration": 2.0})))
+    assert (found.too_short, found.cures) == (2.0, ({"simulation.duration": 2.0},))
+    assert found.leg_travel < 0.0055 < longer["peak_leg_excursion"]
+    assert longer["final_error"] < 2.0
+    return found
+
+
+@pytest.mark.parametrize(
+    ("require", "explained"),
+    [
+        (["final_error <= 2"], True),
+        (["outcome == completed", "final_error <= 2", "peak_leg_excursion <= 0.0155"], True),
+        (["final_error <= 2", "peak_leg_excursion <= 0.0055"], False),  # kept by the short run alone
+        (["peak_leg_excursion <= 0.0045"], False),  # not what fails by the criteria of a diagnosis
+        (["final_error <= 100", "peak_leg_force <= 0.01"], False),
+    ],
+)
+def test_a_diagnosis_is_given_where_its_cure_keeps_the_requirements(
+    too_short: Diagnosis, require: list[str], explained: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(worst_case, "diagnose", lambda run: too_short)
+    found = worst_case._diagnosed(TOO_SHORT, [requirement_of(one) for one in require])
+    assert found is (too_short if explained else None)
+
+
+def test_the_changes_that_a_diagnosis_states_as_cures(too_short: Diagnosis) -> None:
+    unnamed = [dataclasses.replace(cause, named=False) for cause in too_short.causes if cause.without is not None]
+    two = tuple(cause for cause in unnamed if cause.without is not None and cause.without.works)[:2]
+    assert len(two) == 2
+    changes = tuple(cause.without.changes for cause in two if cause.without is not None)
+    pair = dataclasses.replace(too_short, causes=two)
+    assert pair.cures == changes[:1], "the most effective change, where no cause is named"
+    pair = dataclasses.replace(pair, together=tuple(cause.cause for cause in two))
+    assert pair.cures == changes
+    assert two[1].without is not None
+    failing = dataclasses.replace(two[1], without=dataclasses.replace(two[1].without, works=False))
+    assert dataclasses.replace(pair, causes=(two[0], failing)).cures == ({**changes[0], **changes[1]},)
+    assert dataclasses.replace(pair, causes=(failing,), together=()).cures == ()
+    assert dataclasses.replace(too_short, causes=()).cures == ()
 
 
 def test_what_has_no_worst_case(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from dataclasses import dataclass
+from decimal import Decimal
 
 import numpy as np
 from scipy.optimize import brentq
@@ -105,6 +106,14 @@ def clopper_pearson(failures: int, runs: int, confidence: float = 0.95) -> tuple
 
 def _require_counts(failures: int, runs: int) -> None:
     whole_number("failures", failures, 0, whole_number("runs", runs, 0))
+
+
+def joint_confidence(confidence: float, intervals: int) -> float:
+    """Return the confidence with which several intervals hold together, 1 - r (1 - confidence) of r, at least 0.
+
+    It is computed in decimals, as the confidence is written: 0.99998 of two with 0.99999.
+    """
+    return max(0.0, float(1 - intervals * (1 - Decimal(repr(confidence)))))
 
 
 def runs_for_bound(probability: float, failures: int, confidence: float, mixture: Mixture) -> int:

@@ -74,8 +74,7 @@ def _correlation(ranks: Array, values: Array) -> float:
 def _interval_sentences(result: CampaignResult) -> Sequence[str]:
     low, high = result.interval
     return [
-        f"After {len(result)} runs it is {below(low)} to {above(high)}, with a confidence of "
-        f"{result.plan.confidence:.4g}."
+        f"After {len(result)} runs it is {below(low)} to {above(high)}, with a confidence of {result.plan.confidence}."
     ]
 
 

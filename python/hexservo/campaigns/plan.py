@@ -112,7 +112,7 @@ class CampaignPlan(Block):
         problems += [
             (("require", index), sentence)
             for index, one in enumerate(self.require)
-            if (sentence := _beyond_settling(self, one))
+            if (sentence := one.undecided or _beyond_settling(self, one) or _excluded(self, one))
         ]
         if self.tune is not None:
             asked += [(("tune", "minimise"), name) for name in self.tune.minimise]
@@ -325,6 +325,14 @@ def _beyond_settling(plan: CampaignPlan, requirement: Requirement) -> str:
     return (
         f"settling_time: expected a bound of at most {span - dwell:.6g} s, as a run of {span:g} s can settle no later "
         f"(simulation.duration - metrics.dwell), got {requirement.bound:g} s; lower the bound or lengthen the run"
+    )
+
+
+def _excluded(plan: CampaignPlan, requirement: Requirement) -> str:
+    """Return with which lower bound no run can keep an upper one on the same metric; "" where there is none."""
+    other = next((one for one in plan.require if requirement.excludes(one)), None)
+    return (
+        "" if other is None else f"{requirement.name}: expected bounds with a value between, got {requirement}, {other}"
     )
 
 

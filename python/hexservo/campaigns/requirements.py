@@ -71,6 +71,25 @@ class Requirement:
         return self.bound - (distance if self._is_upper else -distance) * self._unit
 
     @property
+    def undecided(self) -> str:
+        """Why its bound judges no metric of `hs.METRICS`, none of which is negative; "" where it may."""
+        if (self.bound < 0 and self._is_upper) or (self.bound == 0 and self.comparison == "<"):
+            return f"{self.name}: expected a bound that a run can keep, as no metric is negative, got {self}"
+        if self.bound < 0 or (self.bound == 0 and self.comparison == ">="):
+            return (
+                f"{self.name}: expected a bound that a run can miss, as no metric is negative, got {self}; "
+                f'that a run completes is "outcome == {COMPLETED}"'
+            )
+        return ""
+
+    def excludes(self, other: Requirement) -> bool:
+        """Return whether this upper bound and another, lower one on the same metric leave no value between them."""
+        if self.name != other.name or not self._is_upper or other.comparison not in (">=", ">"):
+            return False
+        strict = self.comparison == "<" or other.comparison == ">"
+        return self.bound < other.bound or (self.bound == other.bound and strict)
+
+    @property
     def _is_upper(self) -> bool:
         return self.comparison in ("<=", "<")
 

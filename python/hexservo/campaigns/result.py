@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hexservo.campaigns.chunks import Tally, tally_of
-from hexservo.campaigns.intervals import clopper_pearson
+from hexservo.campaigns.intervals import clopper_pearson, joint_confidence
 from hexservo.campaigns.plan import MOST_LOG_EVERY, CampaignPlan
 from hexservo.campaigns.store import Store, read_plan
 from hexservo.campaigns.words import summary_section
@@ -281,7 +281,7 @@ def summary_of(plan: CampaignPlan, record: dict[str, Any], tally: Tally) -> dict
         "interval": list(interval),
         "mixture": [plan.mixture.a, plan.mixture.b],
         "clopper_pearson": list(clopper_pearson(tally.failures, tally.runs, plan.confidence)) if fixed else None,
-        "joint_confidence": max(0.0, 1.0 - len(plan.require) * (1.0 - plan.confidence)),
+        "joint_confidence": joint_confidence(plan.confidence, len(plan.require)),
         "requirements": [
             {
                 "holds": str(requirement),

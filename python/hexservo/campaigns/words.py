@@ -22,7 +22,6 @@ _REASONS = {  # why a completed run has no value of a metric (docs/model.md, sec
 
 def summary_section(summary: dict[str, Any]) -> Section:
     """Return a summary with its tables: requirements, outcomes and the worst runs."""
-    share = f"{summary['joint_confidence']:.4g}"
     requirements: list[list[Cell]] = [
         [one["holds"], one["failures"], *_ends(one["interval"])] for one in summary["requirements"]
     ]
@@ -31,7 +30,8 @@ def summary_section(summary: dict[str, Any]) -> Section:
             "Requirements",
             (Column("holds"), *map(Column, _OF_EACH)),
             requirements,
-            f"Each interval has the confidence of {summary['confidence']:.4g}; all of them together have {share}.",
+            f"Each interval has the confidence of {summary['confidence']}; all of them together have "
+            f"{summary['joint_confidence']}.",
             _PAGE,
         )
     ]
@@ -69,7 +69,7 @@ def verdict_sentences(summary: dict[str, Any]) -> list[str]:
     counted = f"{failures} of {runs} runs {'fails' if failures == 1 else 'fail'}"
     sentences = [
         f"{counted}: the failure probability is between {below(low)} and {above(high)}, with a confidence of "
-        f"{summary['confidence']:.4g} that holds at whatever number of runs one stops."
+        f"{summary['confidence']} that holds at whatever number of runs one stops."
     ]
     if summary["common_noise"] is not None:
         sentences.append(of_common_noise("the interval holds", summary["common_noise"]))

@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hexservo.campaigns.judging import Judge
-from hexservo.campaigns.requirements import ranks_of
+from hexservo.campaigns.requirements import Requirement, ranks_of, run_margins
 from hexservo.campaigns.result import CampaignResult, command_with_changes, scenario_and_changes
 from hexservo.campaigns.store import WORST, require_own_scenario, write_scenario
 from hexservo.campaigns.words import of_common_noise
 from hexservo.findings.diagnosis import diagnose
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Column, Section, Table, picked
+from hexservo.run.result import Result
 from hexservo.run.simulation import simulate, uninterrupted
 from hexservo.run.variations import changes_of_run
 from hexservo.scenario.arrays import Array
@@ -53,7 +54,7 @@ class WorstCase(Findings):
     seed: int  # of the search
     common_noise: int | None  # seed of the noise that all runs share; None where each has its own, or none is random
     command: str  # that runs the packaged scenario with what varies; "" where the campaign varies no packaged one
-    diagnosis: Diagnosis | None = field(default=None)  # of the run, where its margin is negative
+    diagnosis: Diagnosis | None = field(default=None)  # of the run, where it is about a requirement that the run misses
 
     def headline(self) -> str:
         """Return a line that names the scenario."""
@@ -76,7 +77,7 @@ class WorstCase(Findings):
                 f"{WORST} has the campaign's own worst run, which is worse: outside of the box that is searched lies "
                 f"its {', '.join(self.outside[:_NAMED])}{more}."
             )
-        if self.diagnosis is not None and self.diagnosis.failed:
+        if self.diagnosis is not None:
             sentences.append(self.diagnosis.section().sentences[0])
         columns, rows = (Column("requirement"), Column("margin")), [("all together", self.margin), *self.margins]
         table = Table("Smallest margin found", columns, rows, "", "docs/campaigns.md")
@@ -170,12 +171,33 @@ def worst_case(
         seed,
         plan.common_noise,
         command_with_changes(changes, scenario),
-        _diagnosed(scenario) if margin < 0 else None,
+        _diagnosed(scenario, plan.require) if margin < 0 else None,
     )
 
 
-def _diagnosed(scenario: Scenario) -> Diagnosis:
-    return diagnose(uninterrupted(simulate(scenario)))
+def _diagnosed(scenario: Scenario, require: Sequence[Requirement]) -> Diagnosis | None:
+    """Return the diagnosis of a run that fails; None where it is not about what the run misses of the requirements.
+
+    The criteria of a diagnosis are that a run settles, and what its legs may do. One of them is to be a
+    requirement that is missed, and where its changes make the run pass, that run is to keep all requirements.
+    """
+    run = uninterrupted(simulate(scenario))
+    found = diagnose(run)
+    if not found.failed or found.judgement is None:
+        return None
+    missed = {one.name for one, margin in zip(require, _margins(run, require), strict=True) if margin < 0}
+    if not (found.judgement.early or missed.intersection(found.judgement.symptoms)):
+        return None
+    cured = (uninterrupted(simulate(scenario.updated(changes))) for changes in found.cures)
+    return found if all(_margins(each, require).min() >= 0 for each in cured) else None
+
+
+def _margins(run: Result, require: Sequence[Requirement]) -> Array:
+    """Return the margin of a run for each requirement, (r,)."""
+    metrics = {name: np.array([value]) for name, value in run.streamed_metrics.items()}
+    duration = run.scenario.simulation.duration
+    margins: Array = run_margins(require, np.array([run.outcome]), np.array([run.end_time]), duration, metrics)[0]
+    return margins
 
 
 def smallest_in_box(

@@ -70,6 +70,13 @@ class Judgement:
     cured: float  # share of the allowed error from which on it counts in the severity
 
     @property
+    def symptoms(self) -> tuple[str, ...]:
+        """Metrics that are beyond what is allowed; of a run that ended early none stands for itself."""
+        errors = () if self.settled else ("settling_time", "final_error", "rms_error")
+        travel = ("peak_leg_excursion",) if self.stroke > 1.0 else ()
+        return (*errors, *travel, *(metric for metric, ratio in self.limits.items() if ratio > 1.0))
+
+    @property
     def legs(self) -> float:
         """Largest of what the legs do, of what is allowed: travel, drift, speed and tilts."""
         return max(self.stroke, self.drift, *self.limits.values())

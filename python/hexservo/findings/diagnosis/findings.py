@@ -68,6 +68,17 @@ class Diagnosis(Part):
         return tuple(finding for finding in self.causes if finding.named)
 
     @property
+    def cures(self) -> tuple[dict[str, Any], ...]:
+        """Changes of the scenario, by dotted key, with each of which the first sentence states that the run passes."""
+        if self.obstacle is not None or not self.causes:
+            return ()
+        first = [] if self.named or not self.together else [one for one in self.causes if one.cause in self.together]
+        without = [one.without for one in first or self.causes[:1] if one.without is not None]
+        if first and not all(one.works for one in without):
+            return ({key: value for one in without for key, value in one.changes.items()},)
+        return tuple(one.changes for one in without if one.works)
+
+    @property
     def too_short(self) -> float | None:
         """A duration with which the run passes, if the cause is that the run is too short [s]; else None.
 
