@@ -20,6 +20,7 @@ from hexservo.findings.identification.drives import Drives
 from hexservo.findings.identification.frame_clock import clock
 from hexservo.findings.identification.frames_noise import (
     Scatter,
+    Weights,
     agree,
     image_of_noise,
     is_motion,
@@ -29,11 +30,12 @@ from hexservo.findings.identification.frames_noise import (
     scatter_of,
     spline_shares,
 )
+from hexservo.findings.identification.frames_repeated import repeats
 from hexservo.findings.identification.interval import Interval, correlated, half_width, robust_deviations
 from hexservo.findings.identification.joint_motion import JointMotion
 from hexservo.findings.identification.log import FITTED, LEAST_EXPLAINED, Frames, Log, leg_moves
 from hexservo.findings.part import Part
-from hexservo.scenario.arrays import Array, Mask
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.pixels import to_features
 
 MOST_LATENCY = 0.25
@@ -49,9 +51,9 @@ _WHITE = 2.0  # frames over which what a fit with the true calibration leaves is
 _MOST_OF_JOINTS = 0.5  # share of what a fit leaves that the joints' noise may explain, for the rest to be of a camera
 _MOST_OF_MOTION = 0.1  # the same of their motion between ticks, whose part is not known as that of noise is
 _BETWEEN = 0.5  # share of what an image by every second tick is off by that one by all ticks may be, at most
+_WEIGHED = 4  # rounds in which the fit is repeated with the weights of the scatter that it left
+_SETTLED = 0.02  # share that the noise falls by in the last of them
 _SPEEDS = 4  # rounds in which the speed of the image is that over the jitter found
-_BY_ITSELF = 0.05  # of the frames that are equal to the one before: more are equal since the image is rounded, or rests
-_CLEAR = 5.0  # resolutions of the image, or deviations of the joints' noise, from which on there is motion
 _APPARENT = 3.0  # [px]: what a displaced target moves the image by from which on the scenario does not see alike
 _EDGE = 5e-4  # latencies that are so near to an end of what is searched, or to 0, are no different from it [s]
 
@@ -152,11 +154,11 @@ def fit_camera(log: Log, scene: Scene, drives: Drives | None = None) -> CameraFi
         )
     if reason := _not_fitted(scene, frames):
         return CameraFit(count, open=reason)
-    repeats = _repeats(log, frames)
-    repeated = int(repeats.sum())
+    repeated_ones = repeats(log, frames)
+    repeated = int(repeated_ones.sum())
     if repeated:
-        exposure = None if frames.exposure is None else frames.exposure[~repeats]
-        frames = Frames(frames.features[~repeats], frames.arrival[~repeats], exposure)
+        exposure = None if frames.exposure is None else frames.exposure[~repeated_ones]
+        frames = Frames(frames.features[~repeated_ones], frames.arrival[~repeated_ones], exposure)
         if len(frames.arrival) < _FEWEST:
             return CameraFit(count, open=f"expected at least {_FEWEST} frames, got {repeated} of {count} repeated")
     stamped = frames.exposure is not None
@@ -184,47 +186,6 @@ def fit_camera(log: Log, scene: Scene, drives: Drives | None = None) -> CameraFi
     ends = (end if np.isinf(end) else late_by + side * wide for end, side in ((shift.low, -1), (shift.high, 1)))
     latency = Interval(late_by, *map(float, ends))
     return replace(found, latency=latency, jitter=jitter, stamps=shift, stragglers=len(late) - len(usual))
-
-
-def _repeats(log: Log, frames: Frames) -> Mask:
-    """Return which frames (m,) repeat the one before, as of a driver that is asked more often than the camera.
-
-    Noise changes every coordinate: a frame that is equal in all of them is no new one. An image that is rounded or has
-    no noise may be equal by itself. A run of equal frames shows a repeating driver where the joints move in both halves
-    of it, beyond their noise, and the image changes by well over its resolution before and after. None is a repetition
-    without such a run, nor where the image is often equal by itself: in single coordinates, or in runs that are far
-    longer, as at rest.
-    """
-    steps = np.abs(np.diff(frames.features, axis=0))
-    largest, single, whole = steps.max(axis=1), (steps == 0.0).any(axis=1), ~steps.any(axis=1)
-    runs = np.flatnonzero(np.diff(np.concatenate([[False], whole, [False]]).astype(int))).reshape(-1, 2)
-    if not len(runs) or whole.all():
-        return np.zeros(len(frames.arrival), dtype=bool)
-    clear: Mask = largest > _CLEAR * steps[steps > 0.0].min()
-    moves = _movement(log, frames.arrival)
-    shows = [
-        bool(first > 0 and end < len(clear) and clear[first - 1] and clear[end] and moves(first, end))
-        for first, end in runs
-    ]
-    lengths = np.diff(runs, axis=1).ravel()
-    far_longer = lengths[lengths > 2 * lengths[shows].max(initial=0)].sum()
-    by_itself = max((single & ~whole).sum(), far_longer) > _BY_ITSELF * whole.sum()
-    repeating = any(shows) and not by_itself
-    return np.concatenate([[False], whole & repeating])
-
-
-def _movement(log: Log, arrival: Array) -> Callable[[int, int], bool]:
-    """Return whether a joint moves beyond its noise from one frame to a later one, in both halves of that time."""
-    ticks = np.clip(np.searchsorted(log.time, arrival, side="right") - 1, 0, None)
-    joints = log.joints[ticks]
-    noise = np.sqrt(2.0) * joint_deviations(log.joints)  # of the difference of two readings
-
-    def moves(first: int, end: int) -> bool:
-        middle = (first + end + 1) // 2
-        halves = [(first, middle), (middle, end)] if middle < end else [(first, end)]
-        return all(bool((np.abs(joints[b] - joints[a]) > _CLEAR * noise).any()) for a, b in halves)
-
-    return moves
 
 
 def _not_fitted(scene: Scene, frames: Frames) -> str:
@@ -326,11 +287,11 @@ def _fit(sight: _Sight, log: Log, joint_noise: Array, *, stamped: bool) -> tuple
         if poses is None:
             continue
 
-        def placed(x: Array, late: float = float(late), poses: Poses = poses) -> Array:
+        def displaced(x: Array, late: float = float(late), poses: Poses = poses) -> Array:
             left = part.left(late, x * unit, poses)
             return np.full(part.features.size, 1e6) if left is None else left.ravel()
 
-        start = least_squares(placed, np.zeros(6), method="lm", max_nfev=_ROUNDS)
+        start = least_squares(displaced, np.zeros(6), method="lm", max_nfev=_ROUNDS)
         if best is None or start.cost < best[0]:
             best = (start.cost, float(late), start.x)
     if best is None or best[0] > 1e11:
@@ -354,30 +315,100 @@ def _fit(sight: _Sight, log: Log, joint_noise: Array, *, stamped: bool) -> tuple
     sigma = robust_deviations(jacobian, left.ravel(), fitted, together)
     by_noise = float(of_joints @ spline_shares(log, part.times - fit.x[0] * sight.latest, derivative=1))
     sigma[0] *= overstated(jacobian, by_noise * sight.latest**2)
-    target = fit.x[1:] * unit
-    by_ticks = part.between_ticks(fit.x[0] * sight.latest, target)
+    by_ticks = part.between_ticks(fit.x[0] * sight.latest, fit.x[1:] * unit)
     sigma[0] = np.hypot(sigma[0], max(abs(moved_by(jacobian, image.ravel())) for image in by_ticks))
     shift = _bounded(Interval.around(fit.x[0], float(sigma[0])).times(sight.latest), lowest, sight.latest)
     shares = np.sqrt(spline_shares(log, part.times - shift.value))
     by_joints = shares[:, None, None] * part.by_noise(joint_noise, shift.value)
-
-    def scatter_by(speed: Array) -> Scatter:
-        return scatter_of(left, speed, by_joints, together, by_ticks)
-
     at_once = jacobian[:, 0].reshape(left.shape) / sight.latest
-    scatter = _of_one_speed(scatter_by, at_once, lambda width: part.speed(shift.value, target, width))
+
+    def scattered(target: Array, left: Array) -> Scatter:
+        return _of_one_speed(
+            lambda speed: scatter_of(left, speed, by_joints, together, by_ticks),
+            at_once,
+            lambda width: part.speed(shift.value, target, width),
+        )
+
+    placed = _Placed(fit.x[1:] * unit, sigma[1:] * unit, left, scattered(fit.x[1:] * unit, left))
+    placed = _placed_by_weights(part, placed, shift.value, at_once, together, scattered)
     undisplaced = part.left(shift.value, np.zeros(_TARGET))
     return shift, {
-        "jitter": scatter.jitter,
-        "noise": scatter.noise,
-        "of_joints": scatter.of_joints,
-        "jitter_of_ticks": scatter.of_ticks,
-        "explained": _predicted(sight, log, shift.value, target, fitted),
-        "target": target,
-        "target_deviations": sigma[1:] * unit,
+        "jitter": placed.scatter.jitter,
+        "noise": placed.scatter.noise,
+        "of_joints": placed.scatter.of_joints,
+        "jitter_of_ticks": placed.scatter.of_ticks,
+        "explained": _predicted(sight, log, shift.value, placed.target, fitted),
+        "target": placed.target,
+        "target_deviations": placed.deviations,
         "correlated": float(np.median(lasting)),
-        "target_pixels": np.inf if undisplaced is None else float(np.sqrt(np.mean((left - undisplaced) ** 2))),
+        "target_pixels": np.inf if undisplaced is None else float(np.sqrt(np.mean((placed.left - undisplaced) ** 2))),
     }
+
+
+@dataclass(frozen=True, eq=False)
+class _Placed:
+    """A place of the target, and what the image scatters about it."""
+
+    target: Array  # (6,) its displacement [m; rad]
+    deviations: Array  # (6,) standard, of it [m; rad]
+    left: Array  # (m, 2p) residuals [px]
+    scatter: Scatter
+
+
+def _placed_by_weights(
+    part: _Sight,
+    placed: _Placed,
+    late: float,
+    at_once: Array,
+    together: float,
+    scattered: Callable[[Array, Array], Scatter],
+) -> _Placed:
+    """Return the place of the target where images count as the jitter lets them: along their motion they are off by it.
+
+    Without weights the target is off by a part of that, in all images alike, which would pass for noise. Each round has
+    the weights of the scatter of the one before, and counts if it leaves less noise; without a jitter there is none.
+
+    Parameters
+    ----------
+    part
+        Frames that are fitted.
+    placed
+        By images that count alike.
+    late
+        Shift of the frames' times, as it is [s].
+    at_once
+        (m, 2p) speed of the image when a frame is taken [px/s].
+    together
+        Over how many frames residuals are correlated.
+    scattered
+        Scatter by the displacement of the target and the residuals.
+    """
+    unit = np.concatenate([np.full(3, part.scene.depth), np.ones(3)])
+    poses = part.poses(late)
+    for _ in range(_WEIGHED):
+        jitter = placed.scatter.jitter
+        if jitter is None:
+            break
+        weights = Weights.of(placed.scatter, part.speed(late, placed.target, jitter))
+
+        def counted(x: Array, weights: Weights = weights) -> Array:
+            left = part.left(late, x * unit, poses)
+            return np.full(part.features.size, 1e6) if left is None else weights.weighed(left).ravel()
+
+        fit = least_squares(counted, placed.target / unit, x_scale="jac", max_nfev=_ROUNDS)
+        target = fit.x * unit
+        left = part.left(late, target, poses)
+        if left is None:
+            break
+        slopes = np.column_stack([weights.weighed(at_once).ravel(), fit.jac])
+        sigma = robust_deviations(slopes, fit.fun, len(left), together)[1:] * unit
+        before, again = placed.scatter.noise.value, _Placed(target, sigma, left, scattered(target, left))
+        if again.scatter.noise.value >= before:
+            break
+        placed = again
+        if placed.scatter.noise.value > (1.0 - _SETTLED) * before:
+            break
+    return placed
 
 
 def _of_one_speed(scatter_by: Callable[[Array], Scatter], at_once: Array, over: Callable[[float], Array]) -> Scatter:

@@ -120,6 +120,40 @@ class Scatter:
     of_ticks: bool = False  # the jitter is another, or none, if the image is off by what motion between ticks may be
 
 
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """What images count by where the times of frames jitter: less along the motion."""
+
+    direction: Array  # (m, 2p) of the motion, unit vectors; 0 at rest
+    share: Array  # (m,) what counts along it, of what does across it
+
+    @classmethod
+    def of(cls, scatter: Scatter, speed: Array) -> Weights:
+        """Return the ratio of the standard deviations across and along the motion.
+
+        Parameters
+        ----------
+        scatter
+            Noise and jitter; where there is none of either, all counts.
+        speed
+            (m, 2p) of the image, the mean over the jitter [px/s].
+        """
+        size, direction = _split(speed)
+        noise, late = scatter.noise.value, size * (scatter.jitter or 0.0) / np.sqrt(12.0)
+        return cls(direction, noise / np.hypot(noise, late) if noise > 0.0 else np.ones(len(speed)))
+
+    def weighed(self, image: Array) -> Array:
+        """Return images, (..., m, 2p), as they count."""
+        along = np.einsum("...ij,ij->...i", image, self.direction)
+        return np.asarray(image - ((1.0 - self.share) * along)[..., None] * self.direction)
+
+
+def _split(speed: Array) -> tuple[Array, Array]:
+    """Return the magnitudes (m,) of velocities (m, 2p), and their directions (m, 2p)."""
+    size = np.linalg.norm(speed, axis=1)
+    return size, speed / np.where(size > 0.0, size, 1.0)[:, None]
+
+
 def scatter_of(left: Array, speed: Array, by_joints: Array, together: float, by_ticks: Array | None = None) -> Scatter:
     """Return the noise of the camera, and how much later some frames are than others.
 
@@ -141,8 +175,7 @@ def scatter_of(left: Array, speed: Array, by_joints: Array, together: float, by_
     by_ticks
         (k, m, 2p) what the image may be off by since the motion between ticks is not known, k times [px].
     """
-    size = np.linalg.norm(speed, axis=1)
-    direction = speed / np.where(size > 0.0, size, 1.0)[:, None]
+    size, direction = _split(speed)
     along = np.einsum("ij,ij->i", left, direction)
     joints_along = np.einsum("ijk,ij->ik", by_joints, direction)
     joints_across = by_joints - direction[:, :, None] * joints_along[:, None, :]
