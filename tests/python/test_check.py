@@ -15,9 +15,11 @@ import rotary_machine
 from hexservo import _core
 from hexservo.findings.analysis.linear_law import NotFiniteError
 from hexservo.findings.analysis.scene import scene_of
-from hexservo.findings.check import fastest_rate, keys_without_effect, unlikely
+from hexservo.findings.check import fastest_rate, unlikely
+from hexservo.findings.check_keys import keys_without_effect
+from hexservo.scenario.core_defaults import core_default
 from hexservo.scenario.fitted import gains_written
-from hexservo.scenario.laws import LAWS
+from hexservo.scenario.laws import LAWS, laws_with
 from test_keys_with_effect import fingerprint
 
 LINE = (-0.06, -0.02, 0.02, 0.06)  # [m]
@@ -569,12 +571,34 @@ def test_a_preset_without_effect_is_noted(paper: hs.Scenario) -> None:
         assert not any("robot.preset" in note for note in keys_without_effect(hs.load_scenario(name)))
 
 
+RATE = "controller.resolved_rate"
+ADAPTIVE = {f"{RATE}.adaptive": True}
+RATE_GAIN = core_default(f"{RATE}.gain")
+BRIDGED = {"camera.prediction": "encoder", "camera.latency": 0.02, "camera.gate": 50.0, "camera.timeout": 0.1}
+POSITIONS = {
+    "simulation.mode": "sampled",
+    "actuators.kind": "position",
+    "camera.noise": 0.01,
+    "controller.tracking.noise": 0.01,
+    "target.motion": {"kind": "velocity", "velocity": [0.3, 0.0, 0.0]},
+}
 WITHOUT_EFFECT: list[tuple[dict[str, Any], dict[str, Any]]] = [
     ({"controller.law": "composite"}, {"controller.hybrid.kp": 2e-6}),
     ({}, {"controller.composite.fuzzy.leakage": 0.1}),
     ({}, {"controller.kelly.kd": 1.0, "controller.pbvs.kp": 1.0}),
     ({"controller.hybrid.fuzzy.enabled": False}, {"controller.hybrid.fuzzy.adaptation": 20.0}),
     ({"controller.law": "resolved_rate"}, {"controller.resolved_rate.gain_far": 2.0}),
+    ({"controller.law": "resolved_rate", **ADAPTIVE, f"{RATE}.gain_slope": 0.0}, {f"{RATE}.gain_far": 1.0}),
+    ({"controller.law": "resolved_rate", **ADAPTIVE, f"{RATE}.gain_far": RATE_GAIN}, {f"{RATE}.gain_slope": 3.0}),
+    (
+        {"controller.law": "composite", "controller.composite.fuzzy.enabled": False},
+        {"controller.composite.drive": 9.0, "controller.composite.fuzzy.leakage": 0.1},
+    ),
+    ({}, {"controller.hybrid.fuzzy.table": np.full((7, 7), 0.5).tolist()}),
+    ({"controller.law": "pbvs"}, {"controller.jacobian": "printed"}),
+    ({"controller.law": "pbvs", "simulation.mode": "sampled", **BRIDGED}, {"controller.jacobian": "printed"}),
+    ({"controller.law": "tracking", **POSITIONS}, {"controller.jacobian": "printed"}),
+    ({"controller.law": "tracking", **POSITIONS}, {"controller.tracking.band": 1e-5}),
     ({"controller.law": "kelly"}, {"controller.switching.kind": "tanh"}),
     ({}, {"controller.switching.width": 0.01}),
     ({"simulation.mode": "sampled"}, {"camera.outlier_size": 5.0}),
@@ -601,6 +625,62 @@ def test_keys_that_are_noted_change_no_run(paper: hs.Scenario, base: dict[str, A
     assert sorted(key for sentence in noted for key in sentence.partition(":")[0].split(", ")) == sorted(idle)
     assert all("no effect here; " in sentence for sentence in noted)
     assert fingerprint(changed) == fingerprint(scenario)
+
+
+def test_keys_whose_condition_is_met_are_not_noted_and_change_the_run(paper: hs.Scenario) -> None:
+    """Each of the keys above whose condition is met by a setting beside it: the note would be wrong."""
+    table = {"controller.hybrid.fuzzy.table": np.full((7, 7), 0.5).tolist()}
+    met: list[tuple[dict[str, Any], dict[str, Any]]] = [
+        ({"controller.law": "composite"}, {"controller.composite.drive": 9.0}),
+        ({"controller.hybrid.fuzzy.initial_scale": [0, 0, 0, 0, 0, 1e-4]}, table),
+        ({"controller.law": "resolved_rate", **ADAPTIVE}, {f"{RATE}.gain_far": 1.0, f"{RATE}.gain_slope": 3.0}),
+        *(({"controller.law": law}, {"controller.jacobian": "printed"}) for law in laws_with("depth")),
+        (
+            {"controller.law": "tracking", **POSITIONS, "controller.tracking.integral": 5.0},
+            {"controller.tracking.band": 1e-6},
+        ),
+        (
+            {"controller.law": "tracking", **POSITIONS},
+            {"controller.tracking.acceleration": [0.5, 0.5, 0.5, 9.0, 9.0, 9.0]},
+        ),
+    ]
+    for base, acting in met:
+        scenario = paper.updated({**base, "simulation.duration": 0.05})
+        changed = scenario.updated(acting)
+        assert keys_without_effect(changed) == []
+        if "controller.tracking.band" not in acting:  # which acts where legs come to rest
+            assert fingerprint(changed) != fingerprint(scenario), acting
+
+
+def test_a_direction_is_followed_by_the_last_three_numbers_of_no_filter(paper: hs.Scenario) -> None:
+    """One number is written for the first three too, and gains that `auto` fits are not written."""
+    direction = {"controller.law": "tracking", "controller.tracking.follow": "direction", **POSITIONS}
+    scenario = paper.updated({**direction, "simulation.duration": 0.05})
+    written = {f"controller.tracking.{key}": [0.7, 0.7, 0.7, 9.0, 9.0, 9.0] for key in ("acceleration", "speed")}
+    shorter = scenario.updated({key: [*values[:3], 1.0, 1.0, 1.0] for key, values in written.items()})
+    changed = scenario.updated(written)
+    assert keys_without_effect(changed) == [
+        "controller.tracking.acceleration, controller.tracking.speed: the last 3 numbers have no effect here; they act "
+        "only with controller.tracking.follow: pose"
+    ]
+    assert fingerprint(changed) == fingerprint(shorter) != fingerprint(scenario)
+    for change in ({"controller.tracking.acceleration": 0.7}, {"controller.tracking.auto.bandwidth": 2.0}):
+        assert keys_without_effect(scenario.updated(change)) == []
+
+
+def test_fitted_gains_without_effect_are_not_noted_but_written_ones_are(paper: hs.Scenario) -> None:
+    fitted = paper.updated({"controller.law": "composite", "controller.composite.auto.bandwidth": 4.0})
+    idle = fitted.updated({"controller.composite.fuzzy.enabled": False})
+    assert idle.controller.composite.drive != paper.controller.composite.drive
+    assert keys_without_effect(idle) == []
+    (sentence,) = keys_without_effect(idle.updated({"controller.composite.drive": 9.0}))
+    assert sentence == (
+        "controller.composite.drive: has no effect here; it acts only with controller.composite.fuzzy.enabled: true"
+    )
+    acting = ("kp", "kv", "kt", "kd", "prior")
+    given = idle.updated({f"controller.composite.{key}": 1.0 for key in acting})  # what is fitted idles
+    (sentence,) = keys_without_effect(given)
+    assert sentence.startswith("controller.composite.auto.bandwidth: has no effect here")
 
 
 def test_a_damping_that_fits_no_gain_is_noted() -> None:

@@ -13,7 +13,8 @@ from scipy.spatial.transform import Rotation
 
 import hexservo as hs
 from hexservo import _core
-from hexservo.findings.check import keys_without_effect, unlikely
+from hexservo.findings.check import unlikely
+from hexservo.findings.check_keys import keys_without_effect
 from hexservo.scenario import presets
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.fitted import auto_of

@@ -34,7 +34,7 @@ from hexservo.campaigns.intervals import JEFFREYS, RARE, Mixture, anytime_interv
 from hexservo.campaigns.requirements import Requirement
 from hexservo.campaigns.tune_keys import TunePlan, TuneRule
 from hexservo.campaigns.unfit import unfit, unfit_variable
-from hexservo.findings.check import needed_by
+from hexservo.findings.check_keys import needed_by
 from hexservo.run.metrics import OF_LIMITS, asked_metrics
 from hexservo.run.variant import ENVIRONMENT_VARIABLE, VariantError, available_variants, chosen_kernel
 from hexservo.run.variations import changes_of_run, checked_variations

@@ -253,7 +253,8 @@ def check(
     but probably unintended settings, such as a weight beyond the force limit; notes list keys without effect.
     """
     with errors_as_messages():
-        from hexservo.findings.check import keys_without_effect, unlikely
+        from hexservo.findings.check import unlikely
+        from hexservo.findings.check_keys import keys_without_effect
 
         chosen = load(scenario, settings or [], camera)
         complain(*unlikely(chosen), head="Warning")

@@ -1,11 +1,10 @@
-"""Legal but probably unintended settings of a scenario, and keys without effect: for ``hexservo check``."""
+"""Legal but probably unintended settings of a scenario: for ``hexservo check``; keys without effect: `check_keys`."""
 
 from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
 from typing import TypeVar
 
 import numpy as np
@@ -16,7 +15,8 @@ from hexservo.findings.analysis.loop_of_scenario import NotApplicableError, quie
 from hexservo.findings.analysis.reach import reach_of_start_and_goal
 from hexservo.findings.analysis.scene import Scene, scene_of
 from hexservo.findings.check_gains import of_gains
-from hexservo.findings.check_gate import of_gate, predicts
+from hexservo.findings.check_gate import of_gate
+from hexservo.findings.check_keys import has_slope
 from hexservo.findings.check_machine import of_machine
 from hexservo.findings.check_motion import of_motion
 from hexservo.findings.check_period import of_period
@@ -24,15 +24,9 @@ from hexservo.findings.check_points import of_points
 from hexservo.findings.check_target import of_target
 from hexservo.findings.check_tracking import of_tracking
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.blocks import Robot, preset_values
-from hexservo.scenario.fitted import auto_of, chosen_keys, fitted_keys, gains_written, idle_gains
-from hexservo.scenario.keys import default_of, keys_below, value_at
-from hexservo.scenario.laws import ALL_LAWS, LAWS, SMOOTH_KINDS, Controller, laws_with
-from hexservo.scenario.motion import Road, moves
+from hexservo.scenario.keys import value_at
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.pixels import on_pinhole, points_outside
-from hexservo.scenario.plain import plain
-from hexservo.scenario.presets import ROBOT_PRESETS
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number, quantity
 
@@ -261,7 +255,7 @@ def fastest_rate(scene: Scene) -> float:
         weightless = calm.updated({"robot.gravity": [0.0, 0.0, 0.0]})  # the twist carries no weight
         law = linear_law(weightless, scene_of(weightless), scene.home)
         return _largest(lambda: np.asarray(np.linalg.solve(-law.twist, law.frame[:, :6] + law.pose)))
-    law = linear_law(calm, scene_of(calm), scene.home, smooth=_has_slope(scene.scenario))
+    law = linear_law(calm, scene_of(calm), scene.home, smooth=has_slope(scene.scenario))
     push = linear_plant(calm, scene.home).acceleration
 
     def state_matrix() -> Array:
@@ -279,188 +273,3 @@ def _largest(rates: Callable[[], Array]) -> float:
     if not math.isfinite(largest):
         raise NotFiniteError("controller: expected gains that give finite poles, got poles that are not finite")
     return largest
-
-
-# ---- Keys without effect --------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class _Condition:
-    """Keys that act only under a condition."""
-
-    keys: tuple[str, ...]  # blocks or keys
-    acts: Callable[[Scenario], bool]
-    when: str  # the condition, as it follows "they act"
-    can_be_met: bool = True  # by other settings of the scenario
-
-
-def _switches(scenario: Scenario) -> bool:
-    return scenario.controller.law in laws_with("switching")
-
-
-def _has_slope(scenario: Scenario) -> bool:
-    return _switches(scenario) and scenario.controller.switching.kind in SMOOTH_KINDS
-
-
-def _uses_exposures(scenario: Scenario) -> bool:
-    return predicts(scenario) or scenario.camera.timeout is not None or scenario.controller.law not in LAWS
-
-
-def _with(keys: Iterable[str], setting: str, value: str) -> _Condition:
-    return _Condition(
-        tuple(keys), lambda scenario: value_at(scenario, setting) == value, f"only with {setting}: {value}"
-    )
-
-
-def _above_zero(key: str, setting: str) -> _Condition:
-    return _Condition((key,), lambda scenario: value_at(scenario, setting) > 0, f"only with {setting} above 0")
-
-
-def _of_fuzzy(law: str) -> _Condition:
-    block = f"controller.{law}.fuzzy"
-
-    def enabled(scenario: Scenario) -> bool:
-        return scenario.controller.law != law or value_at(scenario, f"{block}.enabled") is True
-
-    return _Condition((block,), enabled, f"only with {block}.enabled: true")
-
-
-def _of_auto(law: str) -> tuple[_Condition, ...]:
-    block = f"controller.{law}.auto"
-
-    def fits(scenario: Scenario) -> bool:
-        if scenario.controller.law != law or auto_of(scenario).bandwidth is None:
-            return True
-        follow = set(fitted_keys(law)).difference(chosen_keys(scenario), idle_gains(scenario))
-        return bool(follow if _adapts(scenario, law) else follow.difference(_ADAPTIVE))
-
-    def has_bandwidth(scenario: Scenario) -> bool:
-        return scenario.controller.law != law or auto_of(scenario).bandwidth is not None
-
-    bandwidth = _Condition((block,), fits, f"only where one of {', '.join(fitted_keys(law))} acts and is not given")
-    if law not in LAWS:  # whose fitted gains have no damping
-        when = f"only in the blocks of other laws, since the motion of {law} is critically damped"
-        return bandwidth, _Condition(
-            (f"{block}.damping",), lambda scenario: scenario.controller.law != law, when, False
-        )
-    return bandwidth, _Condition((f"{block}.damping",), has_bandwidth, f"only with {block}.bandwidth")
-
-
-_ADAPTIVE = ("gain_far", "gain_slope")
-
-
-def _adapts(scenario: Scenario, law: str) -> bool:
-    return scenario.controller.law != law or getattr(scenario.controller.gains, "adaptive", True) is True
-
-
-def _of_adaptive_gain(law: str) -> _Condition:
-    block = f"controller.{law}"
-    keys = tuple(f"{block}.{name}" for name in _ADAPTIVE)
-    return _Condition(keys, lambda scenario: _adapts(scenario, law), f"only with {block}.adaptive: true")
-
-
-def _of_motion(block: str, keys: str, kind: str) -> _Condition:
-    return _with((f"{block}.{key}" for key in keys.split()), f"{block}.kind", kind)
-
-
-_CONDITIONS = (
-    *(_with((f"controller.{law}",), "controller.law", law) for law in ALL_LAWS),
-    *map(_of_fuzzy, laws_with("memory")),
-    *(condition for law in ALL_LAWS for condition in _of_auto(law)),
-    *(_of_adaptive_gain(law) for law in ALL_LAWS if hasattr(getattr(Controller(), law), "adaptive")),
-    _Condition(("controller.switching.kind",), _switches, f"only with the laws {' and '.join(laws_with('switching'))}"),
-    _Condition(("controller.switching.width",), _has_slope, "only where the switching term is tanh or saturation"),
-    _above_zero("robot.payload.known", "robot.payload.mass"),
-    _above_zero("camera.outlier_size", "camera.outlier_probability"),
-    _above_zero("camera.outlier_probability", "camera.outlier_size"),
-    _Condition(
-        ("uncertainty.latency",),
-        _uses_exposures,
-        "only where an exposure counts: with camera.prediction: encoder, camera.on_lost: predict, camera.timeout, or "
-        f"the law {' or '.join(law for law in ALL_LAWS if law not in LAWS)}",
-    ),
-    _Condition(
-        ("camera.on_lost",),
-        lambda scenario: (
-            scenario.camera.image_size is not None or (scenario.camera.gate is not None and predicts(scenario))
-        ),
-        "only with camera.image_size or an acting camera.gate",
-    ),
-    _Condition(("camera.gate",), predicts, "only with camera.prediction: encoder or camera.on_lost: predict"),
-    _with((f"sensors.{key}" for key in ("rate", "resolution", "noise", "period")), "sensors.pose", "encoders"),
-    _of_motion("base_motion", "amplitude frequency phase", "sinusoid"),
-    _of_motion("base_motion", "level low_frequency high_frequency", "noise"),
-    _of_motion("base_motion", "samples attitudes sample_period", "recorded"),
-    _of_motion("base_motion", " ".join(f"road.{key}" for key in Road.model_fields), "road"),
-    _of_motion("base_motion.rotation", "amplitude frequency phase", "sinusoid"),
-    _of_motion("base_motion.rotation", "level low_frequency high_frequency", "noise"),
-    _of_motion("target.motion", "velocity", "velocity"),
-    _of_motion("target.motion", "amplitude frequency phase", "sinusoid"),
-    _of_motion("target.motion", "samples sample_period", "recorded"),
-    _Condition(
-        ("target.frame",), lambda scenario: moves(scenario.base_motion), "only where the base moves (base_motion.kind)"
-    ),
-)
-
-
-_OF_PRESETS = (  # in which machines differ
-    *(f"{side}_{what}" for side in ("platform", "base") for what in ("radius", "angles", "joints")),
-    *("home_position", "mass", "inertia", "stroke", "force_limit"),
-)
-
-
-def _of_preset(robot: Robot) -> Iterator[str]:
-    """Find a preset that gives a machine next to nothing, as where only its name was changed in a resolved file."""
-    if robot.preset is None:
-        return
-    given = plain(robot)
-    equal = {
-        name: [given[key] == value for key in _OF_PRESETS if (value := preset_values(name)[key]) is not None]
-        for name in ROBOT_PRESETS
-    }
-    other = next((name for name in ROBOT_PRESETS if name != robot.preset and all(equal[name])), None)
-    if other is not None or sum(equal[robot.preset]) <= 1:
-        whose = "" if other is None else f', those of "{other}"'
-        yield (
-            f'robot.preset: "{robot.preset}" has no effect here, since other values of the machine are given{whose}; '
-            "drop those keys, and the preset gives them"
-        )
-
-
-def keys_without_effect(scenario: Scenario) -> list[str]:
-    """Return a sentence for each group of keys that differ from their defaults and have no effect.
-
-    So does a preset of the robot whose keys have, nearly all, other values.
-
-    They are legal: a scenario keeps them when its law is replaced in a comparison or its outliers are switched off.
-    """
-    sentences = list(_of_preset(scenario.robot))
-    for condition in _CONDITIONS:
-        if condition.acts(scenario):
-            continue
-        keys = [key for name in condition.keys for key in keys_below(name) if not key.endswith(".enabled")]
-        keys = [key for key in keys if value_at(scenario, key) != default_of(key)]
-        if keys:
-            has, acts = ("has", "it acts") if len(keys) == 1 else ("have", "they act")
-            sentences.append(f"{', '.join(keys)}: {has} no effect here; {acts} {condition.when}")
-    return sentences
-
-
-def needed_by(key: str, scenarios: Iterable[Scenario]) -> str:
-    """Return what a key needs to act, and what to do, as it follows "it acts"; "" where it acts in one of scenarios.
-
-    A bandwidth of `auto` is looked at as if the scenarios had one: in a campaign they do.
-    """
-    bandwidths = _SOME_BANDWIDTHS if key.endswith(".auto.bandwidth") else ()
-    given = [[scenario.updated({key: each}) for each in bandwidths] or [scenario] for scenario in scenarios]
-    for condition in _CONDITIONS:
-        below = any(f"{key}.".startswith(f"{name}.") for name in condition.keys)
-        if below and not any(condition.acts(scenario) for scenario, *_ in given):
-            return f"{condition.when}; {_MEET_OR_DROP if condition.can_be_met else 'drop the key'}"
-    if bandwidths and all(gains_written(one) == gains_written(other) for one, other in given):
-        return f"only where a gain that follows from it acts and is not given; {_MEET_OR_DROP}"
-    return ""
-
-
-_MEET_OR_DROP = "set that in the scenario, or drop the key"
-_SOME_BANDWIDTHS = (1.0, 2.0)  # [Hz]; any two differ in every gain that depends on it
