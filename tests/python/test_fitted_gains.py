@@ -17,8 +17,8 @@ from fitted_machines import BAND, MODES, SEED, STARTS, Array, draw, image, rotat
 from hexservo.cli.commands import app
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check import unlikely
-from hexservo.findings.check_keys import keys_without_effect
 from hexservo.findings.check_gains import image_delay, smoothing_lag, start_forces
+from hexservo.findings.check_keys import keys_without_effect
 from hexservo.run.export import gains_header
 from hexservo.scenario.fitted import chosen_keys, fitted_keys, gains_written, machine_of
 from hexservo.scenario.keys import default_of, value_at
