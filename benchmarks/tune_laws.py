@@ -6,6 +6,9 @@ in runs of `SEARCHED` s; campaigns of the scenario's own duration judge both gai
 larger errors. All is kept in a folder, and the same command
 goes on after an interruption. The tables are Markdown. For each scenario a file with the tuned gains of all laws is
 written, for ``hexservo compare``.
+
+``--own-errors RUNS`` searches nothing: it judges the gains of examples/ by the same bounds with the errors that these
+scenarios have themselves, over so many seeds of their noise, and prints a table.
 """
 
 from __future__ import annotations
@@ -30,6 +33,7 @@ ERRORS: dict[str, Any] = {
     "target.rotation": {"uniform": [-0.01, 0.01], "each": True},  # [rad]
     "seed": "each",
 }
+EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 VARY: dict[str, dict[str, Any]] = {
     "real-machine": ERRORS
     | {"camera.dropout": {"uniform": [0.0, 0.05]}, "base_motion.level": {"log": [1.0e-6, 1.0e-4]}},
@@ -145,6 +149,35 @@ def cells(result: hs.CampaignResult) -> list[str]:
     return shown
 
 
+def own_errors(scenario: str, law: str, runs: int) -> CampaignPlan:
+    """Return a campaign of the published gains with the scenario's own errors, where nothing but the noise varies."""
+    return CampaignPlan(
+        scenario=hs.load_scenario(EXAMPLES / f"{scenario}-tuned.yaml").updated({"controller.law": law}),
+        vary={"seed": "each"},
+        require=required(scenario, law),
+        runs=runs,
+    )
+
+
+def missed(result: hs.CampaignResult) -> str:
+    """Return how many runs miss each bound, as "66 peak_leg_excursion, 2 peak_leg_force"."""
+    bounds = [each for each in result.plan.require if each.name in BOUNDS]
+    table = result.to_arrow([each.name for each in bounds])
+    counts = {each.name: int((~(each.distance(table.column(each.name).to_numpy()) >= 0)).sum()) for each in bounds}
+    return ", ".join(f"{count} {name}" for name, count in counts.items() if count) or "none"
+
+
+def judge_own_errors(scenarios: list[str], laws: list[str], runs: int, out: Path, threads: int | None) -> None:
+    """Print a table for each scenario: the published gains with its own errors."""
+    heads = ["law", "failures", "settles [s]", "RMS [px]", "leg force [N]", "missed"]
+    for scenario in scenarios:
+        print("\n".join(f"| {' | '.join(row)} |" for row in [[f"{scenario}: law", *heads[1:]], ["---"] * len(heads)]))
+        for law in laws:
+            plan = own_errors(scenario, law, runs)
+            result = hs.campaign(plan, out / f"own-{scenario}-{law}-{plan.digest()[:12]}", threads=threads)
+            print(f"| {' | '.join([law, *cells(result), missed(result)])} |", flush=True)
+
+
 def main() -> None:
     """Tune, judge both gains, and print a table for each scenario."""
     parser = argparse.ArgumentParser(description="Tuned gains for every law")
@@ -157,10 +190,14 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=12, help="those of a first search; 0: none (%(default)s)")
     parser.add_argument("--runs", type=int, default=2000, help="of each campaign (%(default)s)")
     parser.add_argument("--seed", type=int, default=1, help="of the searches (%(default)s)")
+    parser.add_argument("--own-errors", type=int, metavar="RUNS", help="judge the gains of examples/, without a search")
     parser.add_argument("--threads", type=int, help="(one for each core)")
     given = parser.parse_args()
     machine = describe_machine()
     print(f"{machine['date']}, {machine['cpu']}, {machine['core']['variant']}, seed {given.seed}")
+    if given.own_errors:
+        judge_own_errors(given.scenarios.split(","), given.laws.split(","), given.own_errors, given.out, given.threads)
+        return
     for scenario in given.scenarios.split(","):
         tuned = hs.load_scenario(scenario)
         rows = []

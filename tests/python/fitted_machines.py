@@ -190,20 +190,31 @@ class Row:
 
     @property
     def median(self) -> float:
-        """Of those without a warning."""
-        return float(np.nanmedian(self.times[~self.warned]))
+        """Of those without a warning that settle; NaN where there are none."""
+        times = self.times[~self.warned & np.isfinite(self.times)]
+        return float(np.median(times)) if len(times) else np.nan
 
     def alike(self, which: NDArray[np.bool_] | None = None) -> float:
-        """Return the share of machines that settle within `TOLERANCE` of the median of those without a warning."""
+        """Return the share of machines that settle within `TOLERANCE` of the median of those without a warning.
+
+        NaN where there is no machine or no median.
+        """
         times = self.times if which is None else self.times[which]
-        return float(np.mean(np.abs(times / self.median - 1.0) <= TOLERANCE)) if len(times) else np.nan
+        if not len(times) or np.isnan(self.median):
+            return np.nan
+        return float(np.mean(np.abs(times / self.median - 1.0) <= TOLERANCE))
 
     def line(self) -> str:
-        """Return its line of the table."""
-        low, high = np.nanquantile(self.times, [0.0, 1.0])
+        """Return its line of the table; "none" stands for what no machine has."""
+        settled = self.times[np.isfinite(self.times)]
+        span = f"{settled.min():.2f} … {settled.max():.2f}" if len(settled) else "none"
         shares = (float(np.isnan(self.times).mean()), self.alike(), float(self.warned.mean()), self.alike(~self.warned))
-        cells = [f"`{self.law}`", self.start, self.mode, f"{self.median:.2f}", f"{low:.2f} … {high:.2f}"]
-        return f"| {' | '.join([*cells, *(f'{100 * share:.1f} %' for share in shares)])} |"
+        cells = [f"`{self.law}`", self.start, self.mode, _or_none(self.median, "{:.2f}"), span]
+        return f"| {' | '.join([*cells, *(_or_none(100 * share, '{:.1f} %') for share in shares)])} |"
+
+
+def _or_none(value: float, shape: str) -> str:
+    return "none" if np.isnan(value) else shape.format(value)
 
 
 def row(law: str, start: str, mode: str, machines: Machines, warnings: NDArray[np.bool_]) -> Row:

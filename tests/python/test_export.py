@@ -23,6 +23,7 @@ from hexservo.run import publish
 from hexservo.run.export import C_NAMES, TITLE, gains_header, robot_notes
 from hexservo.run.files import write_file
 from hexservo.run.publish import OutputError
+from hexservo.scenario.laws import ALL_LAWS, LAWS
 from hexservo.scenario.parameters import core_parameters
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -335,15 +336,37 @@ def test_cpp_reads_every_number_back_bit_for_bit(
 
 def test_what_a_robot_should_not_have_is_noted(paper: hs.Scenario) -> None:
     """A camera without a timeout, in both modes, and errors that are the controller's own."""
-    assert ["camera.timeout" in note for note in robot_notes(paper)] == [True, False]
-    sampled = hs.load_scenario("real-machine")
+    of_points = {"controller.law": "pbvs"}
+    assert ["camera.timeout" in note for note in robot_notes(paper.updated(of_points))] == [True, False]
+    sampled = hs.load_scenario("real-machine").updated({**of_points, "uncertainty.latency": 0.002})
     forever, wrong = robot_notes(sampled)
     assert forever.endswith("set camera.timeout for a robot")
-    assert "(uncertainty.depth)" in wrong
-    assert robot_notes(sampled.updated({"camera.timeout": 0.2, "uncertainty.depth": 0.0})) == []
+    assert "(uncertainty.depth, uncertainty.latency)" in wrong
+    right = {"camera.timeout": 0.2, "uncertainty.depth": 0.0, "uncertainty.latency": 0.0}
+    assert robot_notes(sampled.updated(right)) == []
 
 
-@pytest.mark.parametrize(("what", "notes"), [("controller", 2), ("loop", 0)])
+@pytest.mark.parametrize("law", ALL_LAWS)
+def test_an_error_of_depth_is_noted_where_it_changes_what_the_controller_commands(paper: hs.Scenario, law: str) -> None:
+    """At one tick, away from the goal, bit for bit; the image has the true depths, as on a robot."""
+    changes: dict[str, Any] = {"controller.law": law, "controller.resolved_rate.jacobian_at": "desired"}
+    if law not in LAWS:
+        changes |= {"simulation.mode": "sampled", "actuators.kind": "position", "camera.noise": 0.1}
+    scenario = paper.updated(changes)
+    features = hs.project(scenario, np.zeros(6)) + 3.0
+    legs = hs.simulate(scenario.updated({"simulation.duration": 0.01})).leg_lengths[0]
+    commands = []
+    for depth in (0.0, 0.3):
+        controller = hs.Controller(scenario.updated({"uncertainty.depth": depth}))
+        home = (scenario.robot.home_position, [1.0, 0.0, 0.0, 0.0], np.zeros(6))
+        for _ in range(20):  # a motion towards the target begins at rest
+            out = controller.step(features, np.full(4, -0.5), *home, leg_lengths=legs)
+        commands.append(np.array([*out.wrench, *out.leg_forces, *([] if law in LAWS else out.leg_positions)]))
+    noted = any("uncertainty.depth" in note for note in robot_notes(scenario.updated({"uncertainty.depth": 0.3})))
+    assert noted == (not np.array_equal(commands[0], commands[1], equal_nan=True))
+
+
+@pytest.mark.parametrize(("what", "notes"), [("controller", 1), ("loop", 0)])
 def test_a_unit_of_the_controller_has_the_notes_of_the_header(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str, notes: int
 ) -> None:
@@ -361,7 +384,7 @@ def test_export_writes_refuses_and_replaces(paper: hs.Scenario, tmp_path: Path) 
     assert (code, error) == (0, "")
     first, *notes = out.splitlines()
     assert first == f'{header}: gains of the scenario "paper" for a period of 1 ms'
-    assert [note.partition(":")[0] for note in notes] == ["Note", "Note"]
+    assert [note.partition(":")[0] for note in notes] == ["Note"]
     assert header.read_text(encoding="utf-8") == gains_header(paper)
 
     changed = ("paper", "--header", str(header), "--set", "controller.hybrid.kp=2e-6", "--period", "5e-4")

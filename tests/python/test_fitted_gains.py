@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 import hexservo as hs
-from fitted_machines import BAND, MODES, SEED, STARTS, Array, draw, image, rotation, row, settled, warned
+from fitted_machines import BAND, MODES, SEED, STARTS, Array, Row, draw, image, rotation, row, settled, warned
 from hexservo.cli.commands import app
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check import unlikely
@@ -245,7 +245,7 @@ def test_refusals(paper: hs.Scenario, changes: dict[str, Any], line: str) -> Non
 # ---- Similar machines -----------------------------------------------------------------------------------------------
 
 
-def scaled(scenario: hs.Scenario, mass: float, length: float, time: float) -> hs.Scenario:
+def scaled(scenario: hs.Scenario, mass: float, length: float, time: float, **others: Any) -> hs.Scenario:
     """The machine of other mass, size and speed; an image has neither."""
     robot, law = scenario.robot, scenario.controller.law
     changes: dict[str, Any] = {
@@ -260,7 +260,7 @@ def scaled(scenario: hs.Scenario, mass: float, length: float, time: float) -> hs
         changes[f"robot.{key}"] = (length * np.array(getattr(robot, key))).tolist()
     for key in ("simulation.step", "simulation.duration", "metrics.dwell", "metrics.rms_start"):
         changes[key] = time * value_at(scenario, key)
-    return scenario.updated(changes)
+    return scenario.updated({**changes, **others})
 
 
 @pytest.mark.parametrize("mode", ["continuous", "sampled"])
@@ -284,6 +284,67 @@ def test_a_scaled_machine_runs_the_same_dimensionless_loop(paper: hs.Scenario, l
     # Other factors round: some 1e-14 px a tick, over 500 ticks, while neighbouring trajectories part.
     other = hs.simulate(scaled(base, 8333.3, 3.7, 0.31))
     np.testing.assert_allclose(other.features, one.features, atol=1e-9)
+
+
+@pytest.mark.parametrize("follow", ["pose", "direction"])
+def test_the_target_of_tracking_keeps_its_agility_where_the_machine_is_faster(paper: hs.Scenario, follow: str) -> None:
+    """sigma_a and sigma_v scale with lengths, and not with times: written for the other time, the loop is the same."""
+    keys = ("acceleration", "speed")
+    changes: dict[str, Any] = {
+        "simulation": {"mode": "sampled", "duration": 0.5},
+        "actuators.kind": "position",
+        "camera.noise": 0.02,
+        "controller.tracking.follow": follow,
+        "controller.tracking.noise": 0.02,
+        "target.motion.kind": "sinusoid",
+    }
+
+    def of_world(length: float, time: float) -> dict[str, Any]:
+        """Drives, camera and the target's motion."""
+        return {
+            "actuators.position.bandwidth": 20.0 / time,
+            "camera.period": 0.01 * time,
+            "camera.latency": 0.01 * time,
+            "target.motion.amplitude": [0.05 * length, 0.0, 0.0],
+            "target.motion.frequency": 0.5 / time,
+        }
+
+    base = with_auto(paper, "tracking", 4.0, **changes, **of_world(1.0, 1.0))
+
+    def other(length: float, time: float) -> hs.Scenario:
+        return scaled(base, 1.0, length, time, **of_world(length, time))
+
+    one = hs.simulate(base)
+    same = hs.simulate(other(4.0, 1.0)).features  # an estimate in m and rad rounds otherwise: 1e-12 px
+    np.testing.assert_allclose(same, one.features, rtol=0, atol=1e-9)
+    slower = other(1.0, 4.0)
+    gains, slow = base.controller.tracking, slower.controller.tracking
+    assert all(getattr(gains, key) == getattr(slow, key) for key in keys)
+    assert np.abs(hs.simulate(slower).features - one.features).max() > 1.0  # px
+    along = {"acceleration": 16.0, "speed": 4.0}
+    written = {
+        f"controller.tracking.{key}": (np.array(getattr(gains, key)) / scale).tolist() for key, scale in along.items()
+    }
+    same = hs.simulate(slower.updated(written)).features
+    np.testing.assert_allclose(same, one.features, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["tanh", "saturation"])
+@pytest.mark.parametrize("law", ["hybrid", "composite"])
+def test_one_width_of_the_switching_term_is_for_machines_of_one_size(paper: hs.Scenario, law: str, kind: str) -> None:
+    """It is in m/s and in rad/s: masses may change, and times with a width that is written; lengths with none."""
+    key = "controller.switching.width"
+    base = with_auto(paper, law, 4.0).updated({"simulation.duration": 0.2, "controller.switching.kind": kind})
+    width = base.controller.switching.width
+    one = hs.simulate(base).features
+
+    def features(mass: float, length: float, time: float, width: float = width) -> Any:
+        return hs.simulate(scaled(base, mass, length, time).updated({key: width})).features
+
+    np.testing.assert_array_equal(features(2.0**14, 1.0, 1.0), one)
+    np.testing.assert_array_equal(features(1.0, 1.0, 4.0, width / 4.0), one)
+    for length, time, other in ((1.0, 4.0, width), (4.0, 1.0, width), (4.0, 1.0, 4.0 * width), (4.0, 4.0, width)):
+        assert np.abs(features(1.0, length, time, other) - one).max() > 1e-6
 
 
 # ---- Random machines ------------------------------------------------------------------------------------------------
@@ -331,6 +392,19 @@ def test_random_machines_settle_alike_or_are_warned_of(law: str, start: str, cou
         else:  # all but a few are warned of, and most of those do not settle
             assert warnings.mean() > 0.9
             assert np.isnan(found.times[warnings]).mean() > 0.5
+
+
+def test_a_table_of_machines_has_none_where_there_is_no_number() -> None:
+    """No warning of NumPy, which is an error in tests, and no NaN."""
+    times, none = np.array([0.5, 1.0, np.nan]), np.array([np.nan] * 3)
+    every, some = np.array([True] * 3), np.array([False, False, True])
+    lines = [Row("kelly", "pose", "sampled", each, which).line() for each in (times, none) for which in (every, some)]
+    assert lines == [
+        "| `kelly` | pose | sampled | none | 0.50 … 1.00 | 33.3 % | none | 100.0 % | none |",
+        "| `kelly` | pose | sampled | 0.75 | 0.50 … 1.00 | 33.3 % | 0.0 % | 33.3 % | 0.0 % |",
+        "| `kelly` | pose | sampled | none | none | 100.0 % | none | 100.0 % | none |",
+        "| `kelly` | pose | sampled | none | none | 100.0 % | none | 33.3 % | none |",
+    ]
 
 
 def test_the_settling_time_is_that_of_the_second_order_equation() -> None:

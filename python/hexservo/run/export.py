@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from hexservo import _core
-from hexservo.run.controller import controller_arguments, controller_keys
+from hexservo.run.controller import controller_arguments, controller_keys, tick_keys
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.leg_units import unit_of
+from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.version import VERSION
 
@@ -48,7 +49,8 @@ def robot_notes(scenario: Scenario) -> list[str]:
     """Return what is to be known of an exported controller before a robot moves by it, one sentence each.
 
     A simulated camera is never unplugged, and its errors are wanted: on a robot a missing ``camera.timeout`` means that
-    the last image is used for ever, and the errors of ``uncertainty`` that are the controller's spoil its estimates.
+    the last image is used for ever, and the errors of ``uncertainty`` that are the controller's spoil its estimates. An
+    error that its law does not assume, as of depth without a model of the target's points, is none of them.
     """
     notes = []
     sampled = scenario.simulation.mode == SAMPLED_MODE
@@ -59,11 +61,9 @@ def robot_notes(scenario: Scenario) -> list[str]:
         )
     elif scenario.camera.timeout is None:
         notes.append("the last image is used for ever if no other comes: set camera.timeout for a robot")
-    wrong = [
-        key
-        for key in (f"uncertainty.{name}" for name in _ASSUMED)
-        if np.any(np.asarray(value_at(scenario, key), float) != 0.0) and (sampled or key != "uncertainty.latency")
-    ]
+    used = {key.name for key in tick_keys(core_parameters(scenario))}
+    assumed = (key for key in (f"uncertainty.{name}" for name in _ASSUMED) if key in used)
+    wrong = [key for key in assumed if np.any(np.asarray(value_at(scenario, key), float) != 0.0)]
     if wrong:
         notes.append(
             f"the controller assumes what the scenario has it assume wrongly ({', '.join(wrong)}): "
@@ -81,8 +81,9 @@ def gains_header(scenario: Scenario, period: float | None = None) -> str:
     that namespace where no header before it has. Numbers read back bit for bit. What belongs to the plant is no part
     of it: errors of inertia, Coriolis terms and weight, the faults of camera, encoders and actuators that a simulation
     adds, and the motion of the base. What ``uncertainty`` has the controller itself assume wrongly is part of it:
-    depth, focal length, principal point, mount and, in ``sampled`` mode, latency (docs/model.md, section 7). The
-    settings have ``metrics.band`` and ``metrics.dwell`` too, which the tick does not use.
+    focal length, principal point, mount, depth where the law has a model of the target's points, and in ``sampled``
+    mode latency (docs/model.md, section 7). The settings have ``metrics.band`` and ``metrics.dwell`` too, which the
+    tick does not use.
 
     Parameters
     ----------

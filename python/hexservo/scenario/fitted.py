@@ -252,7 +252,10 @@ def _tracking(machine: Machine, omega: Array, zeta: Array) -> dict[str, Array]:
 
 
 def target_filter(machine: Machine) -> dict[str, Array]:
-    """Return what the filter of `tracking` takes for a target's motion, by key: (6,) [m/s^2; rad/s^2], [m/s; rad/s]."""
+    """Return what the filter of `tracking` takes for a target's motion, by key: (6,) [m/s^2; rad/s^2], [m/s; rad/s].
+
+    It does not follow the bandwidth: how a target moves belongs to the world, not to the machine.
+    """
     return {"acceleration": _AGILITY * machine.distance, "speed": _SPEED * machine.distance}
 
 
