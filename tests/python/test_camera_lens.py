@@ -17,6 +17,7 @@ import hexservo as hs
 from camera_frames import PICTURE, picture
 from hexservo import _core
 from hexservo.campaigns.loop_numbers import delay_margin
+from hexservo.cli.terminal import load
 from hexservo.run.export import gains_header
 from hexservo.scenario.laws import LAWS
 from hexservo.scenario.parameters import core_parameters
@@ -378,6 +379,26 @@ def test_the_model_of_a_lens_is_read_by_its_keys(tmp_path: Path, key: str) -> No
     assert read_calibration(tmp_path, text) == camera_of("kannala_brandt")
 
 
+@pytest.mark.parametrize("end", ["---", "---\n", "---\n\n"])
+def test_the_line_that_ends_a_printed_message_of_ros_does_not_count(tmp_path: Path, end: str) -> None:
+    text = f"height: 960\nwidth: 1280\nk: {MATRIX.ravel().tolist()}\nd: {LENSES['brown_conrady']}\n"
+    assert read_calibration(tmp_path, text + end) == camera_of("brown_conrady")
+    with pytest.raises(hs.ScenarioError):
+        read_calibration(tmp_path, f"{text}---\n{text}{end}")
+
+
+def test_a_border_that_a_calibration_takes_away_is_warned_of(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "camera.yaml"
+    path.write_text(SQUARE)
+    assert load("eye-to-hand", [], str(path)).camera.image_size is None
+    assert "image of [1280, 960] px in the scenario has no border now" in " ".join(capsys.readouterr().err.split())
+    load("eye-to-hand", ["camera.image_size=[1300, 960]"], str(path))
+    load("paper", [], str(path))
+    assert capsys.readouterr().err == ""
+
+
 def test_keys_that_are_not_of_the_image_do_not_count(tmp_path: Path) -> None:
     """Of a message of ROS with the whole image, and of OpenCV's tools."""
     text = (
@@ -385,6 +406,7 @@ def test_keys_that_are_not_of_the_image_do_not_count(tmp_path: Path) -> None:
         "header: {frame_id: optical}\ncamera_name: left\nR: [1, 0, 0, 0, 1, 0, 0, 0, 1]\n"
         "P: [500, 0, 320, 0, 0, 500, 240, 0, 0, 0, 1, 0]\nbinning_x: 0\nbinning_y: 1\n"
         "roi: {x_offset: 0, y_offset: 0, height: 960, width: 0, do_rectify: false}\n"
+        "resolution: [1280, 960]\n"
         "lens: a lens\nsquare_size: 0.025\nper_view_reprojection_errors: [0.1, 0.2]\nextrinsic_parameters: [[0, 0]]\n"
         "dist_coeffs_std_dev: [0.1, 0.1, 0.1, 0.1, 0.1]\nstdDeviationsIntrinsics: [0.1, 0.2]\nfisheye_model: 0\n"
         "camera_model: Basler acA1920-40gm\nsensor_model: IMX219\nmodel: D435\nboard_model: charuco_5x7\n"
@@ -425,6 +447,10 @@ def test_a_calibration_without_a_size_has_no_border(tmp_path: Path) -> None:
         ),
         (SQUARE + "distort: [0.1, 0, 0, 0]\n", "distort: expected no such key, .* name them distortion_coefficients"),
         (SQUARE + "D: [0, 0, 0, 0]\ndist: [0, 0, 0, 0]\n", "D: expected the coefficients once, got dist too"),
+        (SQUARE + "image_size: [1280, 960]\n", "image_size: expected no such key, .* name it image_width and image_h"),
+        (SQUARE + "resolution: 1280x960\n", "resolution: expected no such key, .* name it image_width and image_h"),
+        (SQUARE + "img_shape: [960, 1280]\n", "img_shape: expected no such key, .* name it image_width and image_h"),
+        (SQUARE + "imgWidth: 1280\nimgHeight: 960\n", "imgWidth: expected no such key"),
         (SQUARE + "image_width: 1280\n", "size: expected real numbers"),
         ("<opencv_storage>\n</opencv_storage>\n", r"got XML; .* ends in .yml or .json"),
     ],

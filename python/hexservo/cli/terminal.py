@@ -101,7 +101,21 @@ def load(scenario: str, settings: list[str], camera: str | None = None) -> hs.Sc
         problems += error.problems
     if problems:
         raise hs.ScenarioError(problems, " and ".join(options))
+    if camera is not None:
+        _warn_of_border(camera, document, loaded)
     return loaded
+
+
+def _warn_of_border(camera: str, document: Document, loaded: hs.Scenario) -> None:
+    """Warn where the file of a scenario has a border of the image, and a calibration without a size took it away."""
+    block = document.keys.get("camera") if isinstance(document.keys, dict) else None
+    border = block.get("image_size") if isinstance(block, dict) else None
+    if border is not None and loaded.camera.image_size is None:
+        complain(
+            f"{camera} has no image_width and image_height: the image of {border} px in the scenario has no border "
+            "now; --set camera.image_size=[WIDTH,HEIGHT] gives one",
+            head="Warning",
+        )
 
 
 def _calibrated(camera: str, document: Document, changes: dict[str, object]) -> dict[str, object]:

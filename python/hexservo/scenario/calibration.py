@@ -28,6 +28,9 @@ _COEFFICIENTS = (
 )
 _WIDTHS = ("image_width", "image_Width", "width")
 _HEIGHTS = ("image_height", "image_Height", "height")
+_OF_SIZE = re.compile(  # other names of the size, without underscores: some have the height first
+    r"^(im|img|image|frame)?(size|shape|resolution|dims?|dimensions?)$|^(im|img|image|frame)(width|height|w|h)$"
+)
 _OF_MODEL = re.compile(r"model|type")  # keys whose value may be the model of the lens
 _LENS_MODELS = ("distortion_model", "lens_model")  # keys whose value is
 _FISHEYE = "fisheye_model"  # 0 or 1
@@ -116,15 +119,17 @@ def camera_from_opencv(
 def camera_from_file(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Return keys of a scenario's camera for a calibration file: YAML or JSON of OpenCV's ``FileStorage``, or of ROS.
 
-    The camera matrix is ``camera_matrix``, ``cameraMatrix``, ``K``, ``k`` or ``mtx``, also as nine numbers in a row;
-    the coefficients are ``distortion_coefficients``, ``dist_coeffs``, ``D`` or another of their usual names; the size
-    is ``image_width`` and ``image_height``, or ``width`` and ``height``. ``distortion_model`` or ``lens_model``
-    is a name of the model of Brown and Conrady (``plumb_bob``, ``radtan``, ``rational_polynomial`` with zeros from k4
-    on) or, as ``fisheye_model: 1``, of that of Kannala and Brandt (``fisheye``, ``equidistant``), in any case; another
-    key with ``model`` or ``type`` in its name counts where its value is the model of a lens. Other keys do not
-    count, but those that seem to have a second matrix or coefficients of the lens (``coeffs``, ``k1``, ``intrinsics``)
-    are refused, and so are an image that is binned (``binning_x``, ``binning_y``) and one that is a part of the
-    calibrated one (``roi``).
+    A last line ``---``, as of a message that ``ros2 topic echo`` prints, does not count. The camera matrix is
+    ``camera_matrix``, ``cameraMatrix``, ``K``, ``k`` or ``mtx``, also as nine numbers in a row; the coefficients are
+    ``distortion_coefficients``, ``dist_coeffs``, ``D`` or another of their usual names; the size is ``image_width`` and
+    ``image_height``, or ``width`` and ``height``. ``distortion_model`` or ``lens_model`` is a name of the model of
+    Brown and Conrady (``plumb_bob``, ``radtan``, ``rational_polynomial`` with zeros from k4 on) or,
+    as ``fisheye_model: 1``, of that of Kannala and Brandt (``fisheye``, ``equidistant``), in any case; another key with
+    ``model`` or ``type`` in its name counts where its value is the model of a lens. Other keys do not count, but those
+    that seem to have a second matrix or coefficients of the lens (``coeffs``, ``k1``, ``intrinsics``) are refused, and
+    so are without width and height those that seem to have the size (``image_size``, ``resolution``, ``img_shape``, of
+    which some have the height first), an image that is binned (``binning_x``, ``binning_y``) and one that is a part of
+    the calibrated one (``roi``).
 
     Raises
     ------
@@ -140,6 +145,7 @@ def camera_from_file(path: str | os.PathLike[str]) -> dict[str, Any]:
             source,
         )
     text = re.sub(r"\A%YAML[^\n]*\n", "", text)  # %YAML:1.0 is none; a matrix is a mapping all the same
+    text = re.sub(r"(\S[ \t]*\n)---\s*\Z", r"\1", text)  # ends each message that `ros2 topic echo` prints
     document = load_yaml(re.sub(r"(?m)^(\s*\w+\s*:)\s*!!opencv-(?:nd-)?matrix\s*$", r"\1", text), source)
     try:
         if not isinstance(document, dict):
@@ -159,6 +165,7 @@ def _from_document(document: dict[str, Any]) -> dict[str, Any]:
     coefficients = _given(document, _COEFFICIENTS)
     _require_used(document, name, coefficients)
     size = [None if key is None else document[key] for key in (_given(document, _WIDTHS), _given(document, _HEIGHTS))]
+    _require_known_size(document, size)
     _require_full_image(document, size)
     return camera_from_opencv(
         matrix,
@@ -193,6 +200,18 @@ def _require_used(document: dict[str, Any], matrix: str, coefficients: str | Non
             raise ValueError(
                 f"{key}: expected no such key, got {shown_value(value)}; if these are the coefficients of the lens, "
                 f"name them {_COEFFICIENTS[0]}, in one list, else drop the key"
+            )
+
+
+def _require_known_size(document: dict[str, Any], size: list[Any]) -> None:
+    """Refuse a size of the image under a name that is not known: without it the image would have no border."""
+    if size != [None, None]:
+        return
+    for key, value in document.items():
+        if value is not None and _OF_SIZE.search(str(key).lower().replace("_", "")):
+            raise ValueError(
+                f"{key}: expected no such key, got {shown_value(value)}; if this is the size of the image, name it "
+                f"{_WIDTHS[0]} and {_HEIGHTS[0]}, else drop the key"
             )
 
 
