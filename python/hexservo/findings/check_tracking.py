@@ -1,4 +1,4 @@
-"""Targets that the law `tracking` takes for resting although they move."""
+"""Targets that the law `tracking` takes for resting although they move, or for slower than they are."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _WHOLE = 2.0  # times the speed from which a velocity counts: 1 - 1/2^4 of it do
 
 
 def of_tracking(scene: Scene) -> Iterator[str]:
-    """Yield a sentence for a target whose velocity never counts, so that the law follows where it was in the mean."""
+    """Yield a sentence for a target whose velocity never counts, or never whole: the law follows behind it."""
     scenario = scene.scenario
     gains = scenario.controller.gains
     if not isinstance(gains, Tracking) or scenario.target.motion.kind == "none":
