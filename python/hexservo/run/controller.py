@@ -270,6 +270,6 @@ def _seconds(name: str, given: object) -> float:
     if isinstance(given, float):  # of every tick
         return given
     number = real_numbers(given)
-    if number is None or number.ndim or np.asarray(given).dtype.kind == "b":
+    if number is None or number.ndim:
         raise wrong_type(name, "a number of seconds", given)
     return float(number)
