@@ -144,6 +144,10 @@ def test_a_machine_that_takes_positions_has_no_plant_that_a_wrench_drives(of: st
 def test_refusals(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ValueError, match="of: expected loop or plant"):
         hs.bridges.control(law("kelly"), "machine")  # type: ignore[arg-type]
+    for sampled in ("no", "False", 0.01, 0):
+        with pytest.raises(TypeError, match=r"^sampled: expected True, False or None, got (str|float|int)$"):
+            hs.bridges.control(law("kelly"), "plant", sampled=sampled)  # type: ignore[arg-type]
+    assert hs.bridges.control(law("kelly"), "plant", sampled=np.bool_(False)).dt == 0  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="sampled: expected True"):
         hs.bridges.control(hs.load_scenario("composite-30hz"), sampled=False)
     with pytest.raises(ValueError, match="Coulomb damping only"):

@@ -430,7 +430,7 @@ def test_the_parameters_of_a_plant_act(make: Any) -> None:
     found = parameters(make(scenario, 2, "plant"))
     of_controller = {key for key in found if key.startswith("controller.")}
     assert of_controller == {"controller.safe.damping", "controller.safe.hold"}
-    assert {"camera.on_lost", "camera.noise", "uncertainty.gravity", "seed", "simulation.substeps"} <= found
+    assert {"camera.noise", "uncertainty.gravity", "seed", "simulation.substeps"} <= found
     without: dict[str, Any] = {"controller.composite.kp": 2.0, "metrics.band": 3.0, "simulation.duration": 0.5}
     assert not found & {*without, "actuators.kind", "actuators.position.bandwidth", "actuators.motor.kp"}
 

@@ -293,12 +293,46 @@ def test_what_runs_side_by_side_refuse(scenario: hs.Scenario) -> None:
             runs.command(wrenches)
 
 
+def test_a_scale_of_zero_locks_an_axis(scenario: hs.Scenario) -> None:
+    """A push along the axes that are locked changes nothing, along another one it does."""
+    env = hs.bridges.gymnasium(scenario, action_scale=[1e-2, 0.0, 0.0, 0.0, 0.0, 0.0])
+    seen = []
+    for push in (np.zeros(6), np.array([0.0, 1, 1, 1, 1, 1]), np.array([1.0, 0, 0, 0, 0, 0])):
+        env.reset(seed=0)
+        seen.append(env.step(push)[0])
+    np.testing.assert_array_equal(seen[0], seen[1])
+    assert not np.array_equal(seen[0], seen[2])
+
+
+@pytest.mark.parametrize(
+    ("action", "text"),
+    [
+        (np.zeros(5), r"shape \(6,\), got \(5,\)"),
+        (0.0, r"shape \(6,\), got \(\)"),
+        (np.zeros((1, 6)), r"shape \(6,\), got \(1, 6\)"),
+        (None, r"real numbers of shape \(6,\), got None"),
+        (np.full(6, True), r"real numbers of shape \(6,\), got array"),
+        (np.full(6, np.nan), "numbers, got NaN"),
+    ],
+)
+def test_a_single_environment_names_its_own_action(scenario: hs.Scenario, action: Any, text: str) -> None:
+    env = hs.bridges.gymnasium(scenario)
+    env.reset(seed=0, options={})
+    with pytest.raises(ValueError, match=rf"^action: expected {text}"):
+        env.step(action)
+    with pytest.raises(ValueError, match=r"^options: expected none, got reset_mask$"):
+        env.reset(options={"reset_mask": np.array([True])})
+
+
 def test_refusals(scenario: hs.Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
     for options, text in (
         ({"action": "force"}, "action: expected wrench or twist"),
         ({"autoreset": "later"}, "autoreset: expected one of next_step, same_step, disabled"),
         ({"start_spread": -1.0}, "start_spread: expected one or 6 finite numbers"),
         ({"action_scale": [1.0, 2.0]}, "action_scale: expected one or 6"),
+        ({"action_scale": 0.0}, "action_scale: expected a number above 0 for at least one axis, got zeros"),
+        ({"action_scale": True}, "action_scale: expected one or 6 finite numbers"),
+        ({"start_spread": np.full(6, True)}, "start_spread: expected one or 6 finite numbers"),
         ({"num_envs": 0}, "num_envs: expected at least 1"),
     ):
         given: dict[str, Any] = {"num_envs": 1, **options}
@@ -312,6 +346,13 @@ def test_refusals(scenario: hs.Scenario, monkeypatch: pytest.MonkeyPatch) -> Non
         env.step(np.zeros((3, 6)))
     with pytest.raises(ValueError, match="actions: expected numbers, got NaN"):
         env.step(np.full((2, 6), np.nan))
+    for mask in (np.array([0.5, np.nan]), np.array([1, 0]), ["yes", "no"]):
+        with pytest.raises(TypeError, match=r"^reset_mask: expected booleans, got an array of (float64|int64|<U3)$"):
+            env.reset(options={"reset_mask": mask})
+    with pytest.raises(ValueError, match=r"^options: expected reset_mask, got reset_masks$"):
+        env.reset(options={"reset_masks": np.array([True, False])})
+    with pytest.raises(TypeError, match=r"^options: expected a dict or None, got list$"):
+        env.reset(options=["reset_mask"])
     with pytest.raises(ValueError, match="seed: expected one number or 2"):
         env.reset(seed=[1, 2, 3])
     for numbers in ([["1"] * 6] * 2, np.full((2, 6), 1j)):

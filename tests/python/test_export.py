@@ -346,10 +346,20 @@ def test_what_a_robot_should_not_have_is_noted(paper: hs.Scenario) -> None:
     assert robot_notes(sampled.updated(right)) == []
 
 
-@pytest.mark.parametrize("law", ALL_LAWS)
-def test_an_error_of_depth_is_noted_where_it_changes_what_the_controller_commands(paper: hs.Scenario, law: str) -> None:
+@pytest.mark.parametrize(
+    ("law", "gains"),
+    [
+        *((law, {}) for law in ALL_LAWS),
+        *(("resolved_rate", {"jacobian_at": at}) for at in ("desired", "mean")),
+        ("tracking", {"follow": "direction"}),
+    ],
+)
+def test_an_error_of_depth_is_noted_where_it_changes_what_the_controller_commands(
+    paper: hs.Scenario, law: str, gains: dict[str, str]
+) -> None:
     """At one tick, away from the goal, bit for bit; the image has the true depths, as on a robot."""
-    changes: dict[str, Any] = {"controller.law": law, "controller.resolved_rate.jacobian_at": "desired"}
+    changes: dict[str, Any] = {"controller.law": law}
+    changes |= {f"controller.{law}.{key}": value for key, value in gains.items()}
     if law not in LAWS:
         changes |= {"simulation.mode": "sampled", "actuators.kind": "position", "camera.noise": 0.1}
     scenario = paper.updated(changes)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -71,6 +72,8 @@ class HexapodVectorEnv(_vector.VectorEnv):  # type: ignore[misc]
         if action_scale is None:
             action_scale = _TWIST_SCALE if action == "twist" else _wrench_scale(scene)
         self.action_scale = _six("action_scale", action_scale)
+        if not self.action_scale.any():
+            raise ValueError("action_scale: expected a number above 0 for at least one axis, got zeros")
         self._mode = autoreset
         mode = _vector.AutoresetMode[_MODES[autoreset]]
         self.metadata = {"render_modes": [], "autoreset_mode": mode}
@@ -103,16 +106,21 @@ class HexapodVectorEnv(_vector.VectorEnv):  # type: ignore[misc]
 
         Raises
         ------
+        TypeError
+            For a mask that is not of bool, and options that are no mapping.
         ValueError
-            "seed: expected ..., got ..." for other seeds, a mask of another shape, and "start_spread: expected ..., got
-            ..." where no draw of a start gives an episode.
+            "seed: expected ..., got ..." for other seeds, another option, a mask of another shape, and "start_spread:
+            expected ..., got ..." where no draw of a start gives an episode.
         """
+        _require_options(options, ("reset_mask",))
         seeds = _seeds(seed, self.num_envs)
         if not self._generators:
             self._generators = [np.random.default_rng(each) for each in seeds]
         mask = np.ones(self.num_envs, dtype=bool)
         if options is not None and "reset_mask" in options:
-            mask = np.asarray(options["reset_mask"], dtype=bool)
+            mask = np.asarray(options["reset_mask"])
+            if mask.dtype != bool:
+                raise TypeError(f"reset_mask: expected booleans, got an array of {mask.dtype}")
             if mask.shape != (self.num_envs,):
                 raise ValueError(f"reset_mask: expected shape ({self.num_envs},), got {mask.shape}")
             if not self._states and not mask.all():
@@ -131,17 +139,17 @@ class HexapodVectorEnv(_vector.VectorEnv):  # type: ignore[misc]
         tuple
             Observations, rewards, terminated, truncated, and infos with ``time`` [s]. Without autoreset an episode
             that has ended repeats its flags, with reward 0.
+
+        Raises
+        ------
+        ResetNeeded
+            Before the first reset.
+        ValueError
+            "actions: expected ..., got ..." for another shape, NaN, and what are no real numbers.
         """
         if not self._states:
             raise gym.error.ResetNeeded("call reset before step")
-        given = real_numbers(actions)
-        if given is None:
-            raise ValueError(f"actions: expected real numbers of shape ({self.num_envs}, 6), got {actions!r:.60}")
-        if given.shape != (self.num_envs, 6):
-            raise ValueError(f"actions: expected shape ({self.num_envs}, 6), got {given.shape}")
-        if np.isnan(given).any():
-            raise ValueError("actions: expected numbers, got NaN")
-        wanted = np.clip(given, -1.0, 1.0) * self.action_scale
+        wanted = np.clip(_actions("actions", actions, (self.num_envs, 6)), -1.0, 1.0) * self.action_scale
         if self._servo is not None:
             wanted = _following(self._servo, wanted, self._states, self._tick)
         before = self._over
@@ -241,7 +249,8 @@ class HexapodEnv(gym.Env):  # type: ignore[misc]
         return self._one.action_scale
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
-        """Start an episode, from a seed that is 0 or more."""
+        """Start an episode, from a seed that is 0 or more; there are no options."""
+        _require_options(options, ())
         (seed,) = _seeds(seed, 1)
         super().reset(seed=seed)
         observed, info = self._one.reset(seed=int(self.np_random.integers(2**31)))
@@ -249,7 +258,8 @@ class HexapodEnv(gym.Env):  # type: ignore[misc]
 
     def step(self, action: ArrayLike) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """Take one servo tick with six numbers."""
-        observed, rewards, terminated, truncated, info = self._one.step(np.asarray(action)[None])
+        given = _actions("action", action, (6,))
+        observed, rewards, terminated, truncated, info = self._one.step(given[None])
         return observed[0], float(rewards[0]), bool(terminated[0]), bool(truncated[0]), _first(info)
 
 
@@ -280,7 +290,8 @@ def gymnasium(
         inertia and Coriolis terms at the measured pose, takes away a tenth of the difference from the measured twist
         in a tick.
     action_scale
-        (6,) or one number. None: the largest wrench of the legs at home, along each axis, or 0.1 m/s and 0.5 rad/s.
+        (6,) or one number, not negative; a 0 locks its axis, and not all are 0. None: the largest wrench of the legs
+        at home, along each axis, or 0.1 m/s and 0.5 rad/s.
     start_spread
         (6,) or one number [m; rad]: an episode starts at the scenario's start plus a displacement in B, uniform
         within plus and minus it. One from which the run cannot go on, or ends before the target is seen, is drawn
@@ -349,6 +360,26 @@ def _is_seed(value: object) -> bool:
 
 def _first(info: dict[str, Any]) -> dict[str, Any]:
     return {name: values[0] for name, values in info.items() if not name.startswith("_")}
+
+
+def _require_options(options: object, known: tuple[str, ...]) -> None:
+    if options is None:
+        return
+    if not isinstance(options, Mapping):
+        raise wrong_type("options", "a dict or None", options)
+    if unknown := [key for key in options if key not in known]:
+        raise ValueError(f"options: expected {' or '.join(known) or 'none'}, got {', '.join(map(str, unknown))}")
+
+
+def _actions(name: str, given: ArrayLike, shape: tuple[int, ...]) -> Array:
+    numbers = real_numbers(given)
+    if numbers is None:
+        raise ValueError(f"{name}: expected real numbers of shape {shape}, got {given!r:.60}")
+    if numbers.shape != shape:
+        raise ValueError(f"{name}: expected shape {shape}, got {numbers.shape}")
+    if np.isnan(numbers).any():
+        raise ValueError(f"{name}: expected numbers, got NaN")
+    return numbers
 
 
 def _six(name: str, numbers: ArrayLike) -> Array:

@@ -17,7 +17,7 @@ import numpy as np
 from hexservo import _core
 from hexservo.bridges.model_description import UnitVariable, model_description
 from hexservo.run.c_library import c_library
-from hexservo.run.controller import tick_keys
+from hexservo.run.controller import tick_keys, unused_by_law
 from hexservo.run.metrics import METRICS, metric_unit
 from hexservo.run.result import quantities
 from hexservo.scenario.block import SAMPLED_MODE
@@ -42,7 +42,7 @@ _LEFT_OUT = ("simulation.log_every", "simulation.mode", "robot.legs")
 _NOT_OF_A_CONTROLLER = ("actuators.kind", "camera.latency_known")
 # A plant that takes wrenches has no law and no drives that take positions, is not judged, and goes on until it fails.
 _NOT_OF_A_PLANT = ("controller.", "actuators.kind", "actuators.position.", "actuators.motor.", "metrics.",
-                   "simulation.duration")  # fmt: skip
+                   "simulation.duration", "camera.latency_known")  # fmt: skip
 _TYPES = {"number": "real", "array": "real", "whole": "whole", "flag": "flag", "choice": "text", "seed": "text"}
 
 
@@ -141,11 +141,45 @@ def _keys(settings: _core.Settings, what: UnitKind) -> Iterator[_core.ScenarioKe
     if what == "controller":
         yield from (key for key in tick_keys(settings) if key.name not in _NOT_OF_A_CONTROLLER)
         return
+    unused = _unused_by_plant(settings) if what == "plant" else unused_by_law(settings.law)
+    if not (_has_gate(settings) or _has_border(settings)):  # no point is ever lost
+        unused += ("camera.on_lost",)
     for key in _core.scenario_keys(settings.law):
-        brakes = key.name.startswith("controller.safe.")  # without an image, a plant too
-        foreign = what == "plant" and key.name.startswith(_NOT_OF_A_PLANT) and not brakes
-        if not foreign and (not key.sampled or settings["simulation.mode"] == SAMPLED_MODE):
+        brakes = what == "plant" and key.name.startswith("controller.safe.")  # without an image
+        acts = brakes or not key.name.startswith(unused)
+        if acts and (not key.sampled or settings["simulation.mode"] == SAMPLED_MODE):
             yield key
+
+
+def _unused_by_plant(settings: _core.Settings) -> tuple[str, ...]:
+    """Return the beginnings of keys without effect in a plant, which uses images only to decide whether it brakes.
+
+    So of the camera that the controller assumes there acts only what decides whether a point is seen: a gate, or which
+    rays a distorting lens shows.
+    """
+    unused: tuple[str, ...] = _NOT_OF_A_PLANT
+    if not _has_gate(settings):
+        unused += ("camera.prediction", "uncertainty.mount.")
+        if settings["camera.prediction"] == "encoder":  # which as_printed excludes
+            unused += ("camera.convention",)
+        if not _distorts(settings):
+            unused += ("uncertainty.focal_length", "uncertainty.principal_point")
+        if not _has_border(settings):
+            unused += ("target.weights",)
+    return unused
+
+
+def _has_gate(settings: _core.Settings) -> bool:
+    return bool(np.isfinite(settings["camera.gate"]))
+
+
+def _distorts(settings: _core.Settings) -> bool:
+    return any(settings[f"camera.distortion.{model}"] is not None for model in ("brown_conrady", "kannala_brandt"))
+
+
+def _has_border(settings: _core.Settings) -> bool:
+    """Return whether the camera does not see all that is before it."""
+    return _distorts(settings) or bool(np.isfinite(settings["camera.image_size"]).all())
 
 
 def _parameters(scenario: Scenario, settings: _core.Settings, what: UnitKind) -> Iterator[UnitVariable]:

@@ -22,6 +22,7 @@ from hexservo.findings.analysis.scene import scene_of
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.laws import SMOOTH_KINDS
 from hexservo.scenario.scenario import Scenario, require_scenario
+from hexservo.scenario.wording import wrong_type
 
 if TYPE_CHECKING:
     from control import StateSpace
@@ -68,7 +69,7 @@ def control(scenario: Scenario, of: Literal["loop", "plant"] = "loop", *, sample
     ImportError
         Without python-control; the extra ``control`` installs it.
     TypeError
-        For anything but a `Scenario`.
+        For anything but a `Scenario`, and for `sampled` that is neither a boolean nor None.
     ValueError
         Where the linear analysis does not apply, with the reason, and for a continuous loop with latencies, periods
         or devices.
@@ -77,6 +78,8 @@ def control(scenario: Scenario, of: Literal["loop", "plant"] = "loop", *, sample
     require_scenario(scenario)
     if of not in ("loop", "plant"):
         raise ValueError(f"of: expected loop or plant, got {of!r}")
+    if sampled is not None and not isinstance(sampled, bool | np.bool_):
+        raise wrong_type("sampled", "True, False or None", sampled)
     discrete = scenario.simulation.mode == "sampled" if sampled is None else sampled
     if of == "plant":
         rest, plant, tick = _resting(scenario)

@@ -24,7 +24,9 @@ _START = (0.0, 0)
 
 _SEEN_FROM_HOME = ("target.initial_features", "target.depth")  # in place of points
 _OF_POSITIONS = ("actuators.position.", "controller.virtual_platform.")  # the core refuses them beside forces
-_OF_FORCES = ("actuators.saturation", "actuators.bandwidth", "controller.safe.")  # and these beside positions
+# and these beside positions
+_OF_FORCES = ("actuators.hold", "actuators.saturation", "actuators.bandwidth", "actuators.quantisation",
+              "controller.safe.")  # fmt: skip
 
 
 @described
@@ -224,27 +226,36 @@ def controller_keys(settings: Settings) -> Iterator[_core.ScenarioKey]:
             yield key
 
 
+def unused_by_law(name: str) -> tuple[str, ...]:
+    """Return the beginnings of keys that have no effect with a law, or one value alone, whatever other keys are."""
+    law = _core.LAW_TRAITS[name]
+    unused: tuple[str, ...] = () if law.output == "wrench" else ("controller.virtual_platform.",)
+    if law.output == "pose":  # positions, by a law that predicts its target itself
+        unused += ("camera.prediction", "camera.gate", "camera.convention", "camera.mount.on", *_OF_FORCES)
+    else:
+        unused += ("camera.latency_known",)
+    if not law.switching:
+        unused += ("controller.switching.",)
+    if not law.depth:  # no image Jacobian
+        unused += ("controller.jacobian",)
+    return unused
+
+
 def tick_keys(settings: Settings) -> Iterator[_core.ScenarioKey]:
     """Yield those of `controller_keys` that the tick depends on, or may once others have changed.
 
     Law, mode, legs and kind of drives stay as they are.
     """
     law, positions = _core.LAW_TRAITS[settings.law], _takes_positions(settings)
-    unused: tuple[str, ...] = ()
+    unused = unused_by_law(settings.law)
     if positions:
         unused += ("robot.force_limit", "camera.convention")
     else:
         unused += ("robot.stroke", "robot.stroke_centre")
         if settings["simulation.mode"] != SAMPLED_MODE:  # its drives do not saturate
             unused += ("robot.force_limit",)
-    if law.output == "pose":
-        unused += ("camera.prediction", "camera.gate", "camera.mount.on", "controller.jacobian")
-    elif positions:
+    if positions and law.output != "pose":
         unused += ("actuators.delay", "actuators.position.bandwidth", "actuators.position.damping")
-    if law.output != "wrench":
-        unused += ("controller.virtual_platform.",)
-    if not law.switching:
-        unused += ("controller.switching.",)
     if not law.points:
         unused += ("target.points", *_SEEN_FROM_HOME, "uncertainty.depth")
     return (key for key in controller_keys(settings) if not key.name.startswith(unused))
@@ -259,6 +270,6 @@ def _seconds(name: str, given: object) -> float:
     if isinstance(given, float):  # of every tick
         return given
     number = real_numbers(given)
-    if number is None or number.ndim or np.asarray(given).dtype.kind == "b":
+    if number is None or number.ndim:
         raise wrong_type(name, "a number of seconds", given)
     return float(number)

@@ -50,7 +50,8 @@ def robot_notes(scenario: Scenario) -> list[str]:
 
     A simulated camera is never unplugged, and its errors are wanted: on a robot a missing ``camera.timeout`` means that
     the last image is used for ever, and the errors of ``uncertainty`` that are the controller's spoil its estimates. An
-    error that its law does not assume, as of depth without a model of the target's points, is none of them.
+    error that its law does not assume, as of depth where it does not use a model of the target's points, is none of
+    them.
     """
     notes = []
     sampled = scenario.simulation.mode == SAMPLED_MODE
@@ -62,6 +63,8 @@ def robot_notes(scenario: Scenario) -> list[str]:
     elif scenario.camera.timeout is None:
         notes.append("the last image is used for ever if no other comes: set camera.timeout for a robot")
     used = {key.name for key in tick_keys(core_parameters(scenario))}
+    if not scenario.controller.needs_goal:  # the depths are measured
+        used.discard("uncertainty.depth")
     assumed = (key for key in (f"uncertainty.{name}" for name in _ASSUMED) if key in used)
     wrong = [key for key in assumed if np.any(np.asarray(value_at(scenario, key), float) != 0.0)]
     if wrong:
@@ -81,7 +84,7 @@ def gains_header(scenario: Scenario, period: float | None = None) -> str:
     that namespace where no header before it has. Numbers read back bit for bit. What belongs to the plant is no part
     of it: errors of inertia, Coriolis terms and weight, the faults of camera, encoders and actuators that a simulation
     adds, and the motion of the base. What ``uncertainty`` has the controller itself assume wrongly is part of it:
-    focal length, principal point, mount, depth where the law has a model of the target's points, and in ``sampled``
+    focal length, principal point, mount, depth where the law uses a model of the target's points, and in ``sampled``
     mode latency (docs/model.md, section 7). The settings have ``metrics.band`` and ``metrics.dwell`` too, which the
     tick does not use.
 

@@ -14,16 +14,21 @@ Mask: TypeAlias = NDArray[np.bool_]
 
 
 def real_numbers(given: Any) -> Array | None:
-    """Return a copy of real numbers as an array of floats, of any shape; None for text, complex, ragged, masked ones.
+    """Return a copy of real numbers as an array of floats, of any shape.
 
-    NumPy itself takes the text "1" for 1, the real part of a complex number, and what is under a mask.
+    None for text, booleans, complex, ragged and masked ones: NumPy itself takes the text "1" and True for 1, the real
+    part of a complex number, and what is under a mask.
     """
     if np.ma.is_masked(given):
         return None
     try:
         found = np.asarray(given)
-        if found.dtype.kind == "O" and not all(isinstance(item, Real) for item in found.flat):
+        if found.dtype.kind == "O" and not all(_is_number(item) for item in found.flat):
             return None
-        return found.astype(float) if found.dtype.kind in "biufO" else None
+        return found.astype(float) if found.dtype.kind in "iufO" else None
     except (TypeError, ValueError, OverflowError):  # ragged, or an integer beyond the floats
         return None
+
+
+def _is_number(item: object) -> bool:
+    return isinstance(item, Real) and not isinstance(item, bool)
