@@ -391,6 +391,16 @@ def test_lengths_of_a_machine_that_are_not_metres() -> None:
     )
 
 
+def test_an_inertia_in_square_millimetres_is_named(paper: hs.Scenario) -> None:
+    """By hand: sqrt(300 kg m^2 / 0.06 kg) = 70.7 m; ten times the radius of 0.1 m are at 0.06 kg m^2."""
+    found = only(paper.updated({"robot.inertia": [150.0, 150.0, 300.0]}), "robot.inertia: 300 kg m^2 with 0.06 kg is")
+    assert "of 70.7 m, more than 10 times the platform's radius, 100 mm" in found
+    assert found.endswith("from kg mm^2 it would be 0.0003 kg m^2")
+    for moment, warned in ((0.0599, False), (0.0601, True)):
+        sentences = unlikely(paper.updated({"robot.inertia": [moment] * 3}))
+        assert any("radius of gyration" in text for text in sentences) is warned
+
+
 def test_what_is_known_of_a_payload_counts_to_the_inertia(paper: hs.Scenario) -> None:
     light = paper.updated({"robot.inertia": [1e-9] * 3, "robot.payload.mass": 0.5})
     for known, together in (

@@ -147,6 +147,13 @@ def test_the_latency_is_the_answer_in_servo_periods(tmp_path: Path) -> None:
     assert 0.061 <= scenario.camera.latency < 0.061 + scenario.simulation.step
 
 
+def test_a_latency_in_seconds_is_noted(tmp_path: Path) -> None:
+    for answer, noted in (("0.05", True), ("1", False), ("0", False)):
+        done = answered(tmp_path / f"{answer}.yaml", answers(p26=answer))
+        assert done.exit_code == 0, done.output
+        assert ("If these are seconds, the answer is 50." in " ".join(done.output.split())) is noted
+
+
 @pytest.mark.parametrize(
     ("travel", "given", "resolution"),
     [("-0.02 0.02", "", 4e-9), ("-15 15", "", 1e-6), ("-15 15", "0.02", 2e-5), ("-15 15", "0", 0.0)],

@@ -8,7 +8,8 @@ import pytest
 import hexservo as hs
 from fitted_machines import Array
 from hexservo.findings.analysis.scene import scene_of
-from hexservo.findings.check_gains import share_of_prior, slow_share
+from hexservo.findings.check_gains import slow_share
+from hexservo.findings.prior import share_of_prior
 from hexservo.scenario.fitted import machine_of
 from hexservo.scenario.laws import ALL_LAWS, LAWS
 from test_fitted_gains import gains_of, with_auto

@@ -246,6 +246,12 @@ def test_a_log_with_few_ticks_gives_the_keys_of_the_camera(paper: hs.Scenario) -
     assert found.changes["camera.noise"] == pytest.approx(0.2, rel=0.1)
     assert found.changes["camera.latency_jitter"] == 0.0
     assert found.changes["camera.latency"] in (0.04, 0.06)  # whole ticks
+    assert found.camera.latency is not None
+    (table,) = found.sections()[-1].items
+    assert isinstance(table, Table)
+    (row,) = (row for row in table.rows if row[0] == "camera.latency")
+    rounded, exact = found.changes["camera.latency"], found.camera.latency.value
+    assert row[1] == f"{rounded:g} ({exact:.4g} before rounding)"
 
 
 def test_a_spline_has_less_noise_between_two_ticks() -> None:

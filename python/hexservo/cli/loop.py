@@ -19,6 +19,7 @@ _ROUNDING = 1e-9  # relative, by which a number may be above the whole number th
 _ANSWERED = 0.01  # servo periods by which a time is longer than whole ones since it was answered in three digits
 _BANDWIDTHS = (0.05, 500.0)  # [Hz]: with any rate, a run's times and its log are ones that a scenario may have
 _LATEST = 1e4  # [ms], latency of an image, at most
+_SHORT_LATENCY = 1e-3  # [s], below which the answer may be in seconds
 _COMMANDS = (1.0, 1e4)  # [1/s], to a drive
 _SHORTEST = 1.0 / _COMMANDS[1]  # servo period [s] that is chosen for drives that take forces, at least
 _RESPONSES = (0.01, 1e4)  # [Hz], of a drive
@@ -143,6 +144,11 @@ def ask_loop(dialogue: Dialogue, frame: float, *, rotary: bool) -> Loop | Positi
     latency = 1e-3 * dialogue.number(
         "Latency, from the exposure of an image until it is used [ms]", 1e3 * frame, 0.0, _LATEST
     )
+    if 0.0 < latency < _SHORT_LATENCY:
+        dialogue.say(
+            f"{1e3 * latency:.4g} ms is shorter than exposure and transfer of most images. If these are seconds, the "
+            f"answer is {1e6 * latency:.4g}."
+        )
     if dialogue.choice("Commands that the drives take", ("forces", "positions")) == "forces":
         return Loop(frame, latency, _bandwidth(dialogue))
     period = 1.0 / dialogue.number("Commands a second [1/s]", 50.0, *_COMMANDS)

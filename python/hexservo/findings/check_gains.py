@@ -11,8 +11,9 @@ from hexservo import _core
 from hexservo.findings.analysis.reach import nearest_limit
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.analysis.words import AXES
-from hexservo.findings.coupling import SHARE, settling
+from hexservo.findings.coupling import SHARE, noise_at_rest, settling
 from hexservo.findings.leg_feedback import OF_MARGIN, feedback_margin, integral_margin
+from hexservo.findings.prior import largest_share, left_by_inverse, share_of_prior
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.fitted import Machine, auto_of, chosen_keys, fitted_keys
@@ -31,6 +32,9 @@ _TURNED = 0.9  # share of rotations in the common motion of the features
 _OF_NOISE = 4.0  # deviations of the camera's noise that a jump must be of: six coordinates reach it in 1 of 2600 frames
 _COORDINATES = 6  # of a target's pose
 _COUPLED = 0.85, 1.2  # least and most of the time to settle, over that without products of the inertia
+_DEVIATIONS = 3.0  # of the features about rest that metrics.band should hold
+_HALF_DECADES = 12  # by which a prior is reduced in search of one that leaves less, at most
+_PRODUCTS = "the inertia couples the axes (robot.centre_of_mass, robot.payload.position, products in robot.inertia)"
 _OF_MOTION = frozenset(  # spring, damping and adaptation of the laws whose axes an inertia couples
     ("kp", "kd", "kt", "drive", "fuzzy.adaptation", "gain", "gain_far", "gain_slope", "ki")
 )
@@ -60,6 +64,7 @@ def of_gains(scene: Scene, fastest: float | None) -> Iterator[str]:
         if scenario.actuators.kind == "force":  # other drives get there in their own time, or whatever effort it takes
             yield from _of_forces(scene, key, auto.bandwidth)
             yield from _of_coupling(scene, key)
+            yield from _of_coupled_noise(scene, key)
         yield from _of_image(scene, key)
     elif scenario.controller.traits.output == "pose":
         bandwidth = scenario.controller.gains.bandwidth
@@ -216,15 +221,33 @@ def _of_coupling(scene: Scene, key: str) -> Iterator[str]:
     ratio, band, is_share = settling(scene)
     least, most = _COUPLED
     if ratio < least or ratio > most:  # not where it is not a number
-        decoupling = [law for law, traits in _core.LAW_TRAITS.items() if "coriolis_feedforward" in traits.parts]
         of = f"{100 * SHARE:g} % of that at the start" if is_share else "metrics.band"
         time = f"in {number(ratio, 2)} times the time" if math.isfinite(ratio) else "beyond the time"
         yield (
-            f"{key} is fitted axis by axis, but the inertia couples the axes (robot.centre_of_mass, "
-            f"robot.payload.position, products in robot.inertia): the image error settles to {number(band, 2)} px, "
-            f"{of}, {time} of uncoupled axes; "
-            f"{' or '.join(decoupling)} takes the coupling out"
+            f"{key} is fitted axis by axis, but {_PRODUCTS}: the image error settles to {number(band, 2)} px, "
+            f"{of}, {time} of uncoupled axes; {_decoupling_laws()} takes the coupling out"
         )
+
+
+def _of_coupled_noise(scene: Scene, key: str) -> Iterator[str]:
+    """Find an inertia that makes motions which the image hardly constrains, and which noise drives, visible."""
+    if not _OF_MOTION.isdisjoint(chosen_keys(scene.scenario)):
+        return
+    coupled, alone = noise_at_rest(scene)
+    if _DEVIATIONS * coupled > scene.band and coupled > _COUPLED[1] * alone:
+        law, traits = scene.scenario.controller.law, scene.scenario.controller.traits
+        inverse = f"controller.{law}.{traits.inverse or 'prior'}"
+        yield (
+            f"{key} is fitted axis by axis, but {_PRODUCTS}: {number(feature_noise(scene.scenario.camera))} px of "
+            f"noise in the image move the features by {number(coupled, 2)} px about rest (standard deviation; "
+            f"{number(alone, 2)} px with uncoupled axes), so that they do not stay within metrics.band, "
+            f"{number(scene.band)} px; {_decoupling_laws()} takes the coupling out, and a larger {inverse} lets less "
+            "noise through"
+        )
+
+
+def _decoupling_laws() -> str:
+    return " or ".join(law for law, traits in _core.LAW_TRAITS.items() if "coriolis_feedforward" in traits.parts)
 
 
 def _of_image(scene: Scene, key: str) -> Iterator[str]:
@@ -251,7 +274,7 @@ def _of_image(scene: Scene, key: str) -> Iterator[str]:
         if _LEFT < share <= 1.0:  # else `_of_pull`
             yield (
                 f"controller.{law}.prior: with {number(100 * share, 2)} % of the image error at the start, the image "
-                "and the pull towards home balance; a smaller prior leaves less"
+                f"and the pull towards home balance{_less_left(scene, key)}"
             )
 
 
@@ -291,8 +314,33 @@ def _of_pull(scene: Scene) -> Iterator[str]:
     yield (
         f"controller.{law}.prior: the start is nearer to the goal image than where the image and the pull towards home "
         f"balance, with {number(float(pixels))} px and {quantity(shift, 'm')} and {quantity(turn, 'rad')} from the "
-        "goal; the run goes there, and a smaller prior leaves less"
+        f"goal; the run goes there{_less_left(scene, f'controller.{law}')}"
     )
+
+
+def _less_left(scene: Scene, key: str) -> str:
+    """Return as a clause how the law leaves at most `_LEFT` of the image error; empty where no smaller prior does.
+
+    A smaller prior is proposed where neither coupled axes nor noise nor a way out of reach come in with it.
+    """
+    prior = f"controller.{scene.scenario.controller.law}.prior"
+    for half_decades in range(1, _HALF_DECADES + 1):
+        factor = 10.0 ** (-0.5 * half_decades)
+        smaller = (factor * np.asarray(value_at(scene.scenario, prior))).tolist()
+        less = Scene(scene.scenario.updated({prior: smaller}))
+        share = share_of_prior(less, less.machine)
+        if share <= _LEFT:
+            break
+    else:
+        return ""
+    if any(True for _ in _of_way(less)):
+        return ""
+    if any(True for find in (_of_coupling, _of_coupled_noise) for _ in find(less, key)):
+        return (
+            f"; {_decoupling_laws()} with {number(factor, 1)} times this prior leaves {number(100 * share, 1)} %, with "
+            "which this law amplifies noise or oscillates, since the inertia couples the axes"
+        )
+    return f"; {number(factor, 1)} times this prior leaves {number(100 * share, 1)} %"
 
 
 def slow_share(scene: Scene, machine: Machine) -> float:
@@ -310,7 +358,7 @@ def slow_share(scene: Scene, machine: Machine) -> float:
     error = (scene.desired - scene.view(scene.start).features)[counted]
     parts = ways.T @ (root * error)
     slow = ways @ np.where(squares < _SLOW**2, parts, 0.0) / root
-    return _largest_share(slow, error)
+    return largest_share(slow, error)
 
 
 def turning_share(machine: Machine) -> float:
@@ -318,38 +366,6 @@ def turning_share(machine: Machine) -> float:
     pull = machine.common_pull[:, 3:]
     turned = np.einsum("ij,ji->i", pull, np.linalg.solve(machine.mass[3:, 3:], pull.T))
     return float((turned / machine.pointing).min())
-
-
-def share_of_prior(scene: Scene, machine: Machine) -> float:
-    """Return the share of the largest feature error at the start with which the image and the pull to home balance.
-
-    Of the points that count. Zero where no pose shows the goal image.
-    """
-    counted = machine.weights > 0.0
-    left = machine.jacobian @ left_by_inverse(scene, machine)
-    share = _largest_share(left[counted], (scene.desired - scene.view(scene.start).features)[counted])
-    return share if math.isfinite(share) else 0.0
-
-
-def left_by_inverse(scene: Scene, machine: Machine) -> Array:
-    """Return (J^T W J + M)^-1 M x, x from home to the goal, (6,) [m; rad]: what the estimated pose error leaves out.
-
-    To first order. With M a prior, J^T W xi-tilde = M (x - left) there, and e = 0: the image and the pull to home
-    balance. With M a damping of the inverse, the law is slow from there on. NaN where no pose shows the goal image, or
-    no inverse exists.
-    """
-    law = scene.scenario.controller.law
-    gain = value_at(scene.scenario, f"controller.{law}.{_core.LAW_TRAITS[law].inverse}")
-    weight = np.diag(np.broadcast_to(gain, 6))
-    try:
-        left = np.linalg.solve(machine.information + weight, weight @ machine.displacement)
-    except np.linalg.LinAlgError:
-        return np.full(6, np.nan)
-    return np.asarray(left)
-
-
-def _largest_share(part: Array, whole: Array) -> float:
-    return float(np.abs(part).max() / max(float(np.abs(whole).max()), 1e-300))
 
 
 def start_forces(scene: Scene) -> tuple[Array, Array]:

@@ -19,6 +19,7 @@ _MICROSCOPIC = 2e-3  # [m]: no platform with its home is that small
 _GIGANTIC = 20.0  # [m]: no joints are that far from the middle, and no platform from its base
 _FAR = 20.0  # times the larger radius of the joints, a distance of home that legs between them do not have
 _COMPACT = 0.005  # of the platform's radius, a radius of gyration of a body that is no point between its joints
+_SPREAD = 10.0  # times the platform's radius, a radius of gyration that no body on its joints has
 _TURNED = 0.2  # [rad], an attitude of the camera that is wrong by more than a hand-eye calibration leaves
 
 
@@ -70,8 +71,9 @@ def _joint_radius(scene: Scene) -> float:
 def _of_inertia(scene: Scene) -> Iterator[str]:
     """Find lengths and moments of inertia in units that do not belong together."""
     body, radius = scene.body, scene.platform_radius
-    smallest = float(np.linalg.eigvalsh(np.asarray(body.inertia)).min())
-    gyration = float(np.sqrt(max(smallest, 0.0) / body.mass))
+    moments = np.linalg.eigvalsh(np.asarray(body.inertia))
+    smallest, largest = float(moments.min()), float(moments.max())
+    gyration, widest = (float(np.sqrt(max(moment, 0.0) / body.mass)) for moment in (smallest, largest))
     payload = scene.scenario.robot.payload
     together = ", of platform and payload," if payload.known and payload.mass > 0.0 else ""
     if gyration < _COMPACT * radius:
@@ -79,6 +81,13 @@ def _of_inertia(scene: Scene) -> Iterator[str]:
             f"robot.inertia: {number(smallest)} kg m^2 with {number(body.mass)} kg{together} is a radius of gyration "
             f"of {quantity(gyration, 'm')}, less than {_COMPACT:.1%} of the platform's radius, "
             f"{quantity(radius, 'm')}; lengths are in metres, masses in kg, moments of inertia in kg m^2"
+        )
+    if widest > _SPREAD * radius:
+        yield (
+            f"robot.inertia: {number(largest)} kg m^2 with {number(body.mass)} kg{together} is a radius of gyration "
+            f"of {quantity(widest, 'm')}, more than {_SPREAD:.0f} times the platform's radius, "
+            f"{quantity(radius, 'm')}; moments of inertia are in kg m^2: from kg mm^2 it would be "
+            f"{number(1e-6 * largest)} kg m^2"
         )
 
 

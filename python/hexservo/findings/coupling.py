@@ -11,8 +11,13 @@ from hexservo import _core
 from hexservo.findings.analysis.goal import SHOWN
 from hexservo.findings.analysis.rest import Rest
 from hexservo.findings.analysis.scene import Scene
+from hexservo.findings.prior import left_by_inverse, weight_of_inverse
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.fitted import UPTAKE, auto_of
+from hexservo.scenario.parameters import frame_period
+from hexservo.scenario.pixels import feature_noise
+from hexservo.scenario.scenario import Scenario
 
 SHARE = 0.05  # of the largest image error at the start
 _STEPS = 200  # in a period of the bandwidth
@@ -27,6 +32,13 @@ class Settling(NamedTuple):
     is_share: bool = False  # whether the band is `SHARE` of the error at the start, not `metrics.band`
 
 
+class Noise(NamedTuple):
+    """Largest standard deviation of a feature about rest that the camera's noise makes [px]; NaN: not known."""
+
+    coupled: float  # with the products of the inertia
+    alone: float  # without them
+
+
 def settling(scene: Scene) -> Settling:
     """Return how long the image error takes to settle, over the same without products of the inertia.
 
@@ -37,6 +49,7 @@ def settling(scene: Scene) -> Settling:
     Of the fitted gains of a law with viscous damping, from the scenario's start at rest, to first order about the goal:
     with S its spring and, of `composite` with fuzzy systems, the adaptation A as springs with an integral
     (docs/gains.md), D-bar e'' + K_d e' + S e + p = 0 with p' = A (e' + Lambda e). Of the points that count.
+    What the law's inverse leaves out of its pose error (`left_by_inverse`) is no part of e, and stays in the image.
 
     The ratio is 1 where the law has no such damping, the inertia no products, or the start is the goal; infinite where
     the error does not settle within three periods times the damping, at least 1. NaN where it does not without
@@ -51,26 +64,25 @@ def settling(scene: Scene) -> Settling:
     if not np.isfinite(machine.displacement).all():
         return Settling(math.nan, math.nan)
     displacement = scene.home.moved(machine.displacement).displacement_from(scene.start)
+    unmoved = left_by_inverse(scene, machine)
+    if not np.isfinite(unmoved).all():
+        return Settling(math.nan, math.nan)
     if np.abs(machine.jacobian @ displacement).max() <= SHOWN:
         return Settling(1.0, math.nan)
-    has_fuzzy = "fuzzy" in parts
-    adapts = has_fuzzy and scenario.controller.gains.fuzzy.enabled
     spring = diagonal
     if not _core.LAW_TRAITS[law].pose_error:  # J^T W K_p J
         stiffness = machine.weights * np.tile(1.0 / machine.pointing, len(machine.weights) // 2)
         spring = machine.jacobian.T @ (stiffness[:, None] * machine.jacobian)
-    scale = np.sqrt(np.tile(machine.inertia, (6, 1)) * machine.inertia[:, None])  # of one unit for all axes
     root = np.sqrt(machine.inertia)
+    scale = root * root[:, None]  # of one unit for all axes
     seen = machine.jacobian[machine.weights > 0.0] / root
     coupled, alone = (
         _errors(
-            mass / scale,
-            spring / scale,
-            2.0 * damping + (UPTAKE if has_fuzzy else 0.0),  # fitted whether or not the fuzzy systems are on
-            2.0 * damping * UPTAKE if adapts else 0.0,
+            _motion(mass / scale, spring / scale, scenario),
             damping,
             seen,
-            root * displacement,
+            root * (displacement - unmoved),
+            root * unmoved,
         )
         for mass in (machine.mass, diagonal)
     )
@@ -98,31 +110,71 @@ def _left_at_rest(scene: Scene) -> float:
     return float(np.abs(scene.desired - rest.image(poses)[0][0])[machine.weights > 0.0].max())
 
 
-def _errors(
-    mass: Array, spring: Array, friction: float, adaptation: float, damping: float, seen: Array, start: Array
-) -> Array:
-    """Return the largest component of `seen @ e` from step to step, (n,) [px].
+def noise_at_rest(scene: Scene) -> Noise:
+    """Return how far the camera's noise moves the features about rest, to first order, with K_v = 0.
 
-    In units in which the diagonal of the inertia is 1: `friction` is K_d, `adaptation` A.
+    Of the fitted gains of a law that regulates an estimated pose error e, by the equation of `settling` with e + w in
+    place of e in spring and adaptation: w = (J^T W J + M)^-1 J^T W times white noise (`feature_noise`, held from frame
+    to frame). The covariance from frame to frame solves the discrete Lyapunov equation. Zero in continuous mode and
+    without noise; NaN for other laws, where no inverse exists, and where the motion is unstable from frame to frame.
     """
+    from scipy.linalg import expm, solve_discrete_lyapunov  # here, as in `_errors`
+
+    scenario, machine = scene.scenario, scene.machine
+    traits, noise = _core.LAW_TRAITS[scenario.controller.law], feature_noise(scenario.camera)
+    if scenario.simulation.mode != SAMPLED_MODE or noise == 0.0:
+        return Noise(0.0, 0.0)
+    key = traits.inverse or ("prior" if traits.prior else "")
+    if not (traits.pose_error and key and "damping" in traits.parts):
+        return Noise(math.nan, math.nan)
+    root = np.sqrt(machine.inertia)
+    scale, seen = root * root[:, None], machine.jacobian[machine.weights > 0.0] / root
+    weighted = machine.jacobian.T * machine.weights
+    try:
+        estimate = np.linalg.solve(machine.information + np.diag(weight_of_inverse(scene, key)), weighted)
+    except np.linalg.LinAlgError:
+        return Noise(math.nan, math.nan)
+    auto = auto_of(scenario)
+    assert auto.bandwidth is not None
+    frame = 2.0 * math.pi * auto.bandwidth * frame_period(scenario)
+    found = []
+    for mass in (machine.mass, np.diag(machine.inertia)):
+        motion = _motion(mass / scale, np.eye(6), scenario)
+        size = len(motion)
+        driven = np.hstack([motion, motion[:, :6]])  # by w as by e
+        held = expm(frame * np.vstack([driven, np.zeros((6, size + 6))]))[:size]
+        onwards, moved = held[:, :size], held[:, size:] @ (root[:, None] * estimate)
+        if np.abs(np.linalg.eigvals(onwards)).max() >= 1.0:
+            return Noise(math.nan, math.nan)
+        covariance = solve_discrete_lyapunov(onwards, moved @ moved.T, method="direct")[:6, :6]
+        found.append(noise * math.sqrt(np.einsum("ij,jk,ik->i", seen, covariance, seen).max()))
+    return Noise(*found)
+
+
+def _motion(mass: Array, spring: Array, scenario: Scenario) -> Array:
+    """Return the matrix of the linear equation of `settling` for (e, e', p), (18, 18); without adaptation (e, e').
+
+    In units in which the diagonal of the inertia and omega are 1; K_d and the adaptation A are those of `fitted_gains`.
+    """
+    damping, has_fuzzy = auto_of(scenario).damping, "fuzzy" in _core.LAW_TRAITS[scenario.controller.law].parts
+    friction = 2.0 * damping + (UPTAKE if has_fuzzy else 0.0)  # fitted whether or not the fuzzy systems are on
+    zero, one = np.zeros((6, 6)), np.eye(6)
+    pulled = np.split(-np.linalg.solve(mass, np.hstack([spring, friction * one, one])), 3, axis=1)
+    if not (has_fuzzy and scenario.controller.gains.fuzzy.enabled):
+        return np.block([[zero, one], pulled[:2]])
+    adaptation, rate = 2.0 * damping * UPTAKE, 1.0 / (2.0 * damping)  # A, Lambda
+    return np.block([[zero, one, zero], pulled, [adaptation * rate * one, adaptation * one, zero]])
+
+
+def _errors(motion: Array, damping: float, seen: Array, start: Array, unmoved: Array) -> Array:
+    """Return the largest component of `seen @ (e + unmoved)` from step to step of a motion from `start`, (n,) [px]."""
     from scipy.linalg import expm  # here, since commands that only check wait for the import longer than for the rest
 
-    size = len(mass)
-    zero, one = np.zeros_like(mass), np.eye(size)
-    rate = 1.0 / (2.0 * damping)  # Lambda
-    motion = np.block(
-        [
-            [zero, one, zero],
-            np.split(-np.linalg.solve(mass, np.hstack([spring, friction * one, one])), 3, axis=1),
-            [adaptation * rate * one, adaptation * one, zero],
-        ]
-    )
-    step = 2.0 * math.pi / _STEPS * max(damping, 1.0)
-    onwards = expm(step * motion)
-    state = np.concatenate([start, np.zeros(2 * size)])
+    onwards = expm(2.0 * math.pi / _STEPS * max(damping, 1.0) * motion)
+    state, size = np.concatenate([start, np.zeros(len(motion) - len(start))]), len(start)
     errors = []
     for _ in range(int(_PERIODS * _STEPS)):
-        errors.append(float(np.abs(seen @ state[:size]).max()))
+        errors.append(float(np.abs(seen @ (state[:size] + unmoved)).max()))
         state = onwards @ state
     return np.array(errors)
 

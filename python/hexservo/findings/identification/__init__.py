@@ -10,7 +10,15 @@ from typing import Any
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Section, as_data
-from hexservo.findings.identification.changes import Changes, changes_of, faults_of, in_whole_ticks, of_law, ticks_of
+from hexservo.findings.identification.changes import (
+    Changes,
+    changes_of,
+    faults_of,
+    in_whole_ticks,
+    of_law,
+    ticks_of,
+    times_of_camera,
+)
 from hexservo.findings.identification.drives import DriveFit, Drives, fit_drives
 from hexservo.findings.identification.frames import CameraFit, fit_camera
 from hexservo.findings.identification.log import Log, read_log
@@ -61,7 +69,8 @@ class Identification(Findings):
         parts = self._parts()
         given = {key: value_at(self.machine, key) for key in (*self.changes, *self.rounded)}
         verdicts = {part.title: part.verdict for part in parts}
-        return [*parts, Changes(self.changes, self.rounded, given, verdicts, self.faults).section()]
+        times = {} if self.camera is None else times_of_camera(self.camera, self.machine)
+        return [*parts, Changes(self.changes, self.rounded, given, verdicts, self.faults, times).section()]
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain data, for JSON: keys, and each section's numbers."""

@@ -41,6 +41,7 @@ class Changes(Part):
     given: Mapping[str, Any]  # what the scenario of the machine had
     verdicts: Mapping[str, Verdict]  # of the parts that the log was searched for, by title
     faults: Mapping[str, Any]  # keys that only a diagnosis of the log has
+    times: Mapping[str, float]  # of `identified`, those of the camera before they were rounded [s]
 
 
 def ticks_of(log: Log, machine: Scenario) -> dict[str, Any]:
@@ -138,17 +139,23 @@ def _of_camera(camera: CameraFit, machine: Scenario, step: float) -> dict[str, A
     # at an edge, and where it is correlated, motion that the model lacks is a part of the noise
     if camera.noise is not None and not camera.at_edge and camera.noise_is_white and camera.noise_is_of_camera:
         changes |= {"camera.noise": _digits(camera.noise.value)}
-    if camera.period is not None:
-        changes |= {"camera.period": max(step, _whole(camera.period.value, step))}
-    if camera.latency is not None and camera.latency_is_known:
-        jitter = camera.jitter or 0.0 if camera.jitter_is_known else machine.camera.latency_jitter
-        jitter = min(jitter, 2 * max(camera.latency.value, 0.0))  # of which no frame comes too early
-        changes |= {"camera.latency": max(0.0, _whole(camera.latency.value - jitter / 2, step))}
-        if camera.jitter_is_known:
-            changes |= {"camera.latency_jitter": _whole(jitter, step)}
+    for key, value in times_of_camera(camera, machine).items():
+        changes[key] = max(_FEWEST_TICKS[key] * step, _whole(value, step))
     if camera.dropout is not None:
         changes |= {"camera.dropout": _digits(camera.dropout.value)}
     return changes
+
+
+def times_of_camera(camera: CameraFit, machine: Scenario) -> dict[str, float]:
+    """Return the times [s] that a log gives of its camera, by dotted key, before they are rounded to whole ticks."""
+    times = {} if camera.period is None else {"camera.period": camera.period.value}
+    if camera.latency is not None and camera.latency_is_known:
+        jitter = camera.jitter or 0.0 if camera.jitter_is_known else machine.camera.latency_jitter
+        jitter = min(jitter, 2 * max(camera.latency.value, 0.0))  # of which no frame comes too early
+        times["camera.latency"] = camera.latency.value - jitter / 2
+        if camera.jitter_is_known:
+            times["camera.latency_jitter"] = jitter
+    return times
 
 
 def _whole(value: float, step: float) -> float:

@@ -10,7 +10,7 @@ from hexservo.findings.identification.changes import Changes
 
 def section(found: Changes) -> Section:
     """Return what the scenario of the machine has now, and had before."""
-    rows = [[key, _text(value), _text(found.given[key])] for key, value in found.identified.items()]
+    rows = [[key, _became(found, key), _text(found.given[key])] for key in found.identified]
     verdicts = set(found.verdicts.values())
     verdict: Verdict = "bad" if "bad" in verdicts else "good" if verdicts == {"good"} else "warning"
     rows += [[key, f"{_text(value)} (whole ticks)", _text(found.given[key])] for key, value in found.rounded.items()]
@@ -49,6 +49,14 @@ def _of_faults(found: Changes) -> list[str]:
         f"Correct the exposure times of the machine first: `hexservo diagnose` of this log simulates their error "
         f"({keys}), and this scenario is without it."
     ]
+
+
+def _became(found: Changes, key: str) -> str:
+    """Return a value that was identified, with the time that it was rounded from where four digits show it."""
+    value = found.identified[key]
+    if key not in found.times or f"{found.times[key]:.4g}" == f"{value:.4g}":
+        return _text(value)
+    return f"{_text(value)} ({found.times[key]:.4g} before rounding)"
 
 
 def _text(value: Any) -> str:

@@ -1,0 +1,52 @@
+"""What an inverse of the image Jacobian with a prior, or a damping, leaves out of the pose error, to first order."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hexservo import _core
+from hexservo.findings.analysis.scene import Scene
+from hexservo.scenario.arrays import Array
+from hexservo.scenario.fitted import Machine
+from hexservo.scenario.keys import value_at
+
+
+def weight_of_inverse(scene: Scene, key: str) -> Array:
+    """Return M of (J^T W J + M)^-1 as a vector, (6,) [px^2/m^2; px^2/rad^2], from a key of the law's block."""
+    return np.broadcast_to(value_at(scene.scenario, f"controller.{scene.scenario.controller.law}.{key}"), 6)
+
+
+def left_by_inverse(scene: Scene, machine: Machine) -> Array:
+    """Return (J^T W J + M)^-1 M x, x from home to the goal, (6,) [m; rad]: what the estimated pose error leaves out.
+
+    To first order. With M a prior, J^T W xi-tilde = M (x - left) there, and e = 0: the image and the pull to home
+    balance. With M a damping of the inverse, the law is slow from there on. Zero for a law without such an inverse;
+    NaN where no pose shows the goal image, or no inverse exists.
+    """
+    key = _core.LAW_TRAITS[scene.scenario.controller.law].inverse
+    if not key:
+        return np.zeros(6)
+    weight = np.diag(weight_of_inverse(scene, key))
+    try:
+        left = np.linalg.solve(machine.information + weight, weight @ machine.displacement)
+    except np.linalg.LinAlgError:
+        return np.full(6, np.nan)
+    return np.asarray(left)
+
+
+def share_of_prior(scene: Scene, machine: Machine) -> float:
+    """Return the share of the largest feature error at the start with which the image and the pull to home balance.
+
+    Of the points that count. Zero where no pose shows the goal image.
+    """
+    counted = machine.weights > 0.0
+    left = machine.jacobian @ left_by_inverse(scene, machine)
+    share = largest_share(left[counted], (scene.desired - scene.view(scene.start).features)[counted])
+    return share if math.isfinite(share) else 0.0
+
+
+def largest_share(part: Array, whole: Array) -> float:
+    """Return the largest magnitude of a part over that of the whole."""
+    return float(np.abs(part).max() / max(float(np.abs(whole).max()), 1e-300))
