@@ -293,11 +293,11 @@ function table() {
   const label = pinned ? pinnedLabel(result.state, pinned) : "preset";
   write($("of-preset"), unmet().length ? `${label}, refused` : reason ? `${label}, not comparable: ${reason}` : label);
   for (const { name, unit: known, cells } of rows) {
-    const unit = unitOfMetric(result.state, { name, unit: known });
+    const unitOf = (state) => unitOfMetric(state, { name, unit: known }); // of two kinds of legs they differ
     const [value, before] = [result.metrics[name], against?.metrics[name] ?? NaN];
     cells[0].parentElement.hidden = Number.isNaN(value) && Number.isNaN(before) && name !== "settling_time";
-    write(cells[0], withUnit(value, unit));
-    write(cells[1], against ? withUnit(before, unit) : "");
+    write(cells[0], withUnit(value, unitOf(result.state)));
+    write(cells[1], against ? withUnit(before, unitOf(against.state)) : "");
     const ratio = value / before;
     const alike = Math.abs(ratio - 1) < 0.01 || (Number.isNaN(value) && Number.isNaN(before));
     cells[0].className = !differs || alike ? "" : ratio < 1 || (Number.isNaN(before) && !Number.isNaN(value)) ? "good" : ratio > 1 || Number.isNaN(value) ? "bad" : "";

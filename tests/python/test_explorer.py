@@ -413,6 +413,21 @@ def test_a_run_that_is_pinned_takes_the_place_of_the_presets(visit: Visit) -> No
 
 
 @in_browser
+def test_a_pinned_run_of_legs_of_another_kind_has_its_own_units(visit: Visit) -> None:
+    """Excursions are angles of cranks or lengths, forces of legs torques or forces: not comparable."""
+    page = visit.page
+    units = {"reachy-mini": {"excursion": "°", "force": "N m"}, "paper": {"excursion": "mm", "force": "N"}}
+    for own, pinned in ("reachy-mini", "paper"), ("paper", "reachy-mini"):
+        visit.go(f"#{own}&simulation.duration=2&pinned={pinned}%26simulation.duration=2")
+        page.wait_for_function("name => explorer.reference?.state.preset === name", arg=pinned)
+        for name in ("excursion", "force"):
+            cells = page.locator("#metrics tr", has_text=f"peak leg {name}").locator("td").all_inner_texts()
+            found = [re.sub(r"^[\d.]+ ?", "", cell) for cell in cells]
+            assert found == [units[own][name], units[pinned][name]], cells
+        assert page.locator("#of-preset").inner_text().endswith(", not comparable: another kind of legs")
+
+
+@in_browser
 def test_a_preset_that_is_pinned_as_it_is_is_called_the_pinned_run(visit: Visit) -> None:
     """Its run is the reference already: only the words change."""
     page = visit.page
