@@ -3,7 +3,7 @@ import uPlot from "uplot";
 import { drawBounds, drawErrors, drawSettling } from "./behind.js";
 import { element } from "./controls.js";
 import { axisNumber, readable, short, withUnit } from "./format.js";
-import { colours, lookOf, strip, write } from "./view.js";
+import { colours, dark, lookOf, strip, write } from "./view.js";
 
 const WIDEST_GAP = 3; // pixels between two samples, above which their distance is stated
 const AXES = ["x", "y", "z", "about x", "about y", "about z"];
@@ -40,11 +40,15 @@ export class Chart {
     this.spacing = element("small", { class: "spacing" });
     box.append(this.spacing); // beside the name of the axis: a note that comes and goes moves nothing
     box.parentElement.querySelector("figcaption").append(this.note);
-    new ResizeObserver(() => this.plot?.setSize(this.size())).observe(box);
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+    new ResizeObserver(() => this.fit()).observe(box);
+    dark.addEventListener("change", () => {
       this.count = -1;
       if (this.result) this.show(this.result);
     });
+  }
+
+  fit() {
+    this.plot?.setSize(this.size());
   }
 
   size() {

@@ -12,7 +12,7 @@ import { ParameterMap } from "./map.js";
 import { actingChanges, changed, drawn, full, groups, laws, metrics, presetOf, presets, readAddress, same, start, textOf, toAddress, toYaml, valueOf, version } from "./model.js";
 import { endsAt, targetAt } from "./machine.js";
 import { MachineView } from "./scene.js";
-import { write } from "./view.js";
+import { dark, write } from "./view.js";
 
 const $ = (id) => document.getElementById(id);
 const SETTLE = 300; // milliseconds of rest after which the address follows
@@ -390,8 +390,11 @@ addEventListener("hashchange", () => {
   goesOn = false;
 });
 addEventListener("resize", () => result && at(share));
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => result && requestAnimationFrame(() => (show(), refresh())));
-matchMedia("print").addEventListener("change", () => result && at(share));
+dark.addEventListener("change", () => result && (show(), refresh()));
+matchMedia("print").addEventListener("change", () => {
+  for (const chart of charts) chart.fit(); // no observer of sizes is asked before a page is printed
+  if (result) at(share);
+});
 for (const name of ["focus", "blur"]) $("image").addEventListener(name, () => result && at(share));
 
 new ResizeObserver(([{ target }]) => {

@@ -1950,6 +1950,32 @@ def test_on_paper_there_are_pictures_and_numbers_and_no_controls(visit: Visit) -
 
 
 @in_browser
+def test_what_is_printed_has_light_colours_and_charts_of_the_width_of_the_paper(visit: Visit) -> None:
+    page = visit.page
+    for scheme in ("light", "dark"):
+        page.emulate_media(color_scheme=scheme)
+        page.evaluate(
+            """() => {
+              const widths = box => [box, box.querySelector('canvas')].map(found => found.clientWidth);
+              globalThis.looks = () => ({
+                widths: [...document.querySelectorAll('.chart')].map(widths),
+                paper: getComputedStyle(document.documentElement).backgroundColor,
+                line: explorer.charts()[0].series[1].stroke(),
+              });
+              matchMedia('print').addEventListener('change', event => event.matches && (globalThis.printed = looks()));
+            }"""
+        )
+        before = page.evaluate("looks()")
+        page.pdf(format="Letter")
+        printed = page.evaluate("printed")
+        assert (printed["paper"], printed["line"]) == ("rgb(255, 255, 255)", "#1f6feb"), scheme
+        assert len(printed["widths"]) == 3
+        for box, canvas in printed["widths"]:
+            assert (box > 650, canvas) == (True, pytest.approx(box, abs=1)), scheme  # Letter has 816 px of the screen's
+        page.wait_for_function("before => JSON.stringify(looks()) === JSON.stringify(before)", arg=before)
+
+
+@in_browser
 def test_the_picture_follows_a_slider_within_a_frame_or_some(visit: Visit) -> None:
     """Measured from the change to the drawn picture, and printed; a busy machine takes longer, so 60 frames pass."""
     page = visit.page
