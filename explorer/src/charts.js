@@ -17,7 +17,7 @@ export const FIGURES = {
   moments: { title: "Moment", quantity: "wrench", unit: "N m", from: 3, to: 6, name: names(AXES.map((name) => name.replace("about ", ""))) },
   legs: { title: "Leg forces, torques of cranks", quantity: "leg_forces", unit: "N", rotary: "N m", name: legs },
   lengths: { title: "Leg lengths, angles of cranks", quantity: "leg_lengths", unit: "m", rotary: "rad", name: legs },
-  position: { title: "Position", quantity: "position", unit: "m", name: names(AXES), change: true },
+  position: { title: "Displacement from the start", quantity: "position", unit: "m", name: names(AXES), change: true },
   velocity: { title: "Velocity", quantity: "twist", unit: "m/s", from: 0, to: 3, name: names(AXES) },
   turning: { title: "Angular velocity", quantity: "twist", unit: "rad/s", from: 3, to: 6, name: names(AXES) },
   fuzzy: { title: "Output of the fuzzy systems, force", quantity: "fuzzy_output", unit: "N", from: 0, to: 3, name: names(AXES) },

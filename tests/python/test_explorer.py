@@ -1908,6 +1908,9 @@ def test_charts_tell_the_values_where_the_pointer_is_and_else_those_of_now(visit
     page.locator("#time").fill("0.02")
     assert check() == pytest.approx(0.1, abs=samples["time"][1])
     assert page.locator("#now").inner_text() == page.locator("#chart-0 + .legend i").inner_text()
+    page.select_option("#figure-1", label="Displacement from the start")
+    page.locator("#time").fill("0")
+    assert page.locator("#chart-1 + .legend b").all_inner_texts() == ["0"] * 3
 
 
 def looks_of(page: Page, chart: int) -> list[str]:
