@@ -106,12 +106,15 @@ export function changed(state, key, number) {
 
 export const textOf = (value) => (value === null ? "none" : [value].flat().join(" "));
 
+const FLAGS = { 1: 1, 0: 0, true: 1, false: 0 };
+
 /** Reads what a user types; throws a sentence. */
 export function parsed(key, text) {
   const spec = keyOf[key];
   const words = text.trim().split(/[\s,;[\]]+/).filter(Boolean);
-  if (spec.type === "choice" || spec.type === "seed") return text.trim();
-  if (spec.optional && (words.length === 0 || /^(none|null)$/.test(words[0]))) return null;
+  if (type === "choice" || type === "seed") return text.trim();
+  if (type === "flag" && words.length === 1 && Object.hasOwn(FLAGS, words[0])) return FLAGS[words[0]];
+  if (optional && (words.length === 0 || /^(none|null)$/.test(words.join(" ")))) return null;
   const numbers = words.map(Number);
   if (!numbers.length || numbers.some((number) => Number.isNaN(number))) throw new Error(`${key}: expected numbers, got "${text}"`);
   return ["number", "whole", "flag"].includes(spec.type) && numbers.length === 1 ? numbers[0] : numbers;
