@@ -74,6 +74,7 @@ def data() -> dict[str, Any]:
         "laws": list(LAWS),
         "twist_laws": [law for law in LAWS if _core.LAW_TRAITS[law].output == "twist"],
         "keys": keys,
+        "most_delay": _core.MAX_ACTUATOR_DELAY,
         "metrics": [{"name": name, "unit": unit, "meaning": text} for name, (unit, text, *_) in METRICS.items()],
         "presets": [preset(name, defaults) for name in names],
     }

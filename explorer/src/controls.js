@@ -1,7 +1,7 @@
 /** Sliders for the keys that matter, and the list of all keys. */
 import { readable, rounded, short } from "./format.js";
 import { write } from "./view.js";
-import { acts, changed, keyOf, keysOf, listedKeysOf, parsed, presetValue, same, textOf, valueOf, whole } from "./model.js";
+import { acts, changed, keyOf, keysOf, listedKeysOf, mostDelay, parsed, presetValue, same, textOf, valueOf, whole } from "./model.js";
 
 const element = (name, attributes = {}, ...children) => {
   const made = document.createElement(name);
@@ -17,6 +17,7 @@ export { element };
 // --- what sliders there are
 
 const GAIN_DECADES = 1.5;
+const ROUNDING = 1e-6; // of a number of steps
 const NAMED = { "controller.switching.kind": "switching", "actuators.kind": "drives take", "target.motion.kind": "motion" };
 
 /** A slider of one number, or of entries of an array: it sets equal ones, and moves different ones together. */
@@ -40,7 +41,7 @@ function slider(state, key, { label, from = 0, to = Infinity, min, max, step = 0
     id: key + mark,
     unit,
     min,
-    max,
+    max: step ? rounded(min + step * Math.ceil((max - min) / step - ROUNDING)) : max, // a whole number of steps above the least value
     step,
     log,
     percent,
@@ -101,7 +102,8 @@ function gainSliders(state, spec) {
 
 /** Of sampled mode: what the legs take, and how they follow where that is positions. */
 function drives(state) {
-  const delay = slider(state, "actuators.delay", { label: "delay", min: 0, max: 0.05, step: valueOf(state, "simulation.step") });
+  const step = valueOf(state, "simulation.step");
+  const delay = slider(state, "actuators.delay", { label: "delay", min: 0, max: mostDelay * step, step });
   const positions = ["bandwidth", "damping"].flatMap((name) => gainSliders(state, keyOf[`actuators.position.${name}`]));
   return [{ key: "actuators.kind", choice: true }, delay, ...(valueOf(state, "actuators.kind") === "position" ? positions : [])];
 }
@@ -169,8 +171,8 @@ const FINE = 1000;
 export const toPlace = ({ min, max, log }, value) => (log ? Math.log(value / min) / Math.log(max / min) : (value - min) / (max - min));
 export function fromPlace({ min, max, log, step }, place) {
   if (log) return rounded(min * (max / min) ** place, 4);
-  const raw = min + place * (max - min);
-  return step ? rounded(Math.round(raw / step) * step) : rounded(raw);
+  const raw = place * (max - min);
+  return rounded(Math.min(max, min + (step ? Math.round(raw / step) * step : raw)));
 }
 
 /** A value of a slider, with its unit. */

@@ -6,7 +6,7 @@
 
 const data = globalThis.HEXSERVO_DATA ?? JSON.parse(globalThis.document.getElementById("data").textContent);
 
-export const { laws, twist_laws: twistLaws, keys, metrics, presets, version } = data;
+export const { laws, twist_laws: twistLaws, keys, metrics, presets, version, most_delay: mostDelay } = data;
 
 /** What `hexservo explore` wrote into the page: a packaged scenario's name, or a scenario as one more preset. */
 const own = JSON.parse(globalThis.document?.getElementById("own").textContent ?? "null");

@@ -1348,6 +1348,47 @@ def test_a_slider_of_different_errors_shifts_them_all(visit: Visit) -> None:
 
 
 @in_browser
+def test_every_place_of_the_delay_is_a_delay_that_the_core_takes(visit: Visit) -> None:
+    """It reaches eight servo periods in steps of one, of which places of a map between two steps are one."""
+    page = visit.page
+    for preset in ("composite-30hz", "pi-h824-positions"):
+        step = hs.load_scenario(preset).simulation.step
+        for place, ticks in {1000: 8, 500: 4, 70: 1, 40: 0}.items():
+            visit.go(f"#{preset}&simulation.duration=0.2&metrics.rms_start=0.1&metrics.dwell=0.1")
+            page.evaluate(
+                """place => {
+                  const input = document.querySelector('[data-id="actuators.delay"]');
+                  explorer.shown = null;
+                  input.step = 'any';
+                  input.value = place;
+                  input.dispatchEvent(new Event('change'));
+                  if (!('actuators.delay' in explorer.state.changes)) explorer.shown = '';
+                }""",
+                place,
+            )
+            page.wait_for_function("explorer.shown !== null")
+            assert visit.end()["refusal"] is None, place
+            delay = page.evaluate("explorer.full()['actuators.delay']")
+            assert delay == pytest.approx(ticks * step, rel=1e-9), (preset, place)
+
+
+@in_browser
+def test_the_duration_goes_back_to_that_of_a_short_preset(browser: Browser, tmp_path: Path) -> None:
+    path = tmp_path / "short.html"
+    short = {"name": "short", "simulation.duration": 0.2, "metrics.rms_start": 0.1, "metrics.dwell": 0.1}
+    path.write_text(explorer_page(hs.load_scenario("paper").updated(short)), encoding="utf-8")
+    visit = Visit(browser, path)
+    visit.page.click("#controls summary:has-text('duration')")
+    for key, words in {"ArrowRight": "0.7 s", "ArrowLeft": "0.2 s", "End": "20.2 s", "Home": "0.2 s"}.items():
+        press(visit.page, "simulation.duration", key)
+        assert visit.page.evaluate("explorer.refusal") is None
+        assert told(visit.page, "simulation.duration")[1] == words, key
+    assert visit.page.evaluate("explorer.state.changes") == {}
+    assert visit.problems == []
+    visit.context.close()
+
+
+@in_browser
 def test_a_slider_of_different_gains_multiplies_them_all(visit: Visit) -> None:
     page = visit.page
     kp = "controller.pbvs.kp/angular"
