@@ -293,12 +293,21 @@ export class KeyList {
       this.box.replaceChildren(...this.rows.map(({ row }) => row));
       this.filter();
     }
-    for (const { spec, row, input } of this.rows) {
-      const value = valueOf(state, spec.key);
-      if (document.activeElement !== input) input.value = spec.type === "flag" ? String(value) : textOf(value);
+    for (const entry of this.rows) {
+      const { spec, row, input } = entry;
+      if (!entry.isUnsent || document.activeElement !== input) this.write(entry);
       row.classList.toggle("changed", spec.key in state.changes);
       row.classList.toggle("asleep", !acts(state, spec));
     }
+  }
+
+  /** Writes into a field the value that its key has, in place of what was typed and not sent or not understood. */
+  write(entry) {
+    const { spec, input } = entry;
+    const text = textOf(valueOf(this.state, spec.key));
+    if (input.value !== text) input.value = text;
+    input.setCustomValidity("");
+    entry.isUnsent = false;
   }
 
   row(spec) {
@@ -307,6 +316,7 @@ export class KeyList {
       input.setCustomValidity("");
       try {
         const value = parsed(spec.key, input.value);
+        entry.isUnsent = false;
         this.change((state) => changed(state, spec.key, value), true);
       } catch (error) {
         input.setCustomValidity(error.message);
@@ -319,7 +329,10 @@ export class KeyList {
       : element("input", { id, type: "text", inputmode: "text", autocomplete: "off", spellcheck: "false", onchange: set });
     const about = [spec.unit && spec.unit !== "1" ? `[${spec.unit}]` : "", bounds(spec), spec.optional ? "or none" : "", spec.mode === "sampled" ? "sampled mode" : ""].filter(Boolean).join(" · ");
     const row = element("div", { class: "key" }, element("label", { for: id }, spec.key), input, element("p", {}, spec.meaning, element("small", {}, about ? ` ${about}` : "")));
-    return { spec, row, input };
+    const entry = { spec, row, input, isUnsent: false };
+    input.addEventListener("input", () => (entry.isUnsent = true));
+    input.addEventListener("blur", () => input.validationMessage || this.write(entry)); // what was refused stays, with why
+    return entry;
   }
 
   filter() {

@@ -600,6 +600,55 @@ def test_what_does_not_act_is_no_change_of_the_run(visit: Visit, preset: str, ch
 
 
 @in_browser
+def test_what_does_not_act_has_no_slider(visit: Visit) -> None:
+    """The width of sign, gains of fuzzy systems that are off, and the switching term of a law that has none."""
+    fuzzy = ["adaptation", "error_scale", "rate_scale", "leakage"]
+    smooth = "#paper&controller.switching.kind=tanh"
+    for address, width, has_fuzzy in (
+        ("#paper", False, True),
+        (smooth, True, True),
+        (f"{smooth}&controller.law=pbvs", False, False),
+        ("#paper-no-fuzzy", False, False),
+        ("#paper-no-fuzzy&controller.hybrid.fuzzy.enabled=1", False, True),
+    ):
+        visit.go(address)
+        names = set(visit.page.evaluate("[...document.querySelectorAll('#controls [data-id]')].map(x => x.dataset.id)"))
+        assert any(name.startswith("controller.switching.width") for name in names) == width, address
+        law_switches = "pbvs" not in address
+        assert ("controller.switching.kind" in names) == law_switches, address
+        found = {leaf for leaf in fuzzy if any(f".fuzzy.{leaf}" in name for name in names)}
+        assert bool(found) == has_fuzzy, (address, found)
+        assert ("controller.hybrid.fuzzy.enabled" in names) == law_switches, address
+
+
+@in_browser
+def test_a_field_of_a_key_has_its_value_but_while_something_else_is_typed(visit: Visit) -> None:
+    """Where Back undid what was sent from it, too; text that was refused stays, with why, until the next run."""
+    page = visit.page
+    visit.go("#composite-30hz")
+    page.click("#all-keys > summary")
+    field = page.locator("[id='key-camera.noise']")
+    usual = field.input_value()
+    field.fill("1.5")
+    field.press("Enter")
+    page.wait_for_function("explorer.shown.endsWith('camera.noise=1.5') && location.hash === explorer.shown")
+    page.go_back()
+    page.wait_for_function("explorer.shown === '#composite-30hz'")
+    assert page.evaluate("document.activeElement.id") == "key-camera.noise"
+    assert field.input_value() == usual
+    field.fill("0.7")
+    visit.go("#composite-30hz&uncertainty.gravity=0.01")
+    assert field.input_value() == "0.7"
+    field.fill("abc")
+    field.press("Enter")
+    page.keyboard.press("Tab")
+    message = "document.getElementById('key-camera.noise').validationMessage"
+    assert (field.input_value(), page.evaluate(message)) == ("abc", 'camera.noise: expected finite numbers, got "abc"')
+    visit.go("#composite-30hz")
+    assert (field.input_value(), page.evaluate(message)) == (usual, "")
+
+
+@in_browser
 def test_what_the_page_chooses_itself_is_no_parameter(visit: Visit) -> None:
     visit.go("#paper&simulation.log_every=7")
     assert visit.page.evaluate("explorer.state.changes") == {}
