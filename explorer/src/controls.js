@@ -124,8 +124,10 @@ export function groups(state) {
   const relative = (key, label, more = {}) => (has(key) ? [slider(state, key, { label, min: -0.5, max: 0.5, step: 0.005, percent: true, ...more })] : []);
   const gains = keysOf(law).filter(({ key, type }) => key.startsWith(`controller.${law}.`) && (type === "number" || type === "array")).filter((spec) => acts(state, spec));
   const main = gains.filter(({ key }) => !key.includes(".fuzzy."));
+  const switches = acts(state, keyOf["controller.switching.kind"]);
+  const width = keyOf["controller.switching.width"];
   const fuzzy = gains.filter(({ key }) => /fuzzy\.(adaptation|error_scale|rate_scale|leakage|weight_limit)$/.test(key));
-  const choices = (names) => names.filter(has).map((key) => ({ key, choice: true }));
+  const choices = (names) => names.filter((key) => has(key) && acts(state, keyOf[key])).map((key) => ({ key, choice: true }));
   const start = ["x", "y", "z"].map((axis, i) => slider(state, "simulation.start.pose", { label: `start ${axis}`, from: i, to: i + 1, min: -0.05, max: 0.05, step: 0.0005, mark: `/${i}` }));
   const turn = ["x", "y", "z"].map((axis, i) => slider(state, "simulation.start.pose", { label: `start about ${axis}`, from: i + 3, to: i + 4, min: -0.35, max: 0.35, step: 0.0025, mark: `/${i + 3}` }));
   const scale = Math.max(1, ...[presetValue(state.preset, "robot.platform_radius") ?? 0.1].map((radius) => radius / 0.1));
@@ -153,9 +155,9 @@ export function groups(state) {
     ["Motion of the target", false, sampled ? targetMotion(state) : []],
     ["Start", false, [...start, ...turn]],
     ["Fuzzy systems", false, fuzzy.flatMap((spec) => gainSliders(state, spec))],
-    ["Switching, duration", false, [
+    [switches ? "Switching, duration" : "Duration", false, [
       ...choices(["controller.switching.kind"]),
-      ...gainSliders(state, keyOf["controller.switching.width"]),
+      ...(acts(state, width) ? gainSliders(state, width) : []),
       slider(state, "simulation.duration", { label: "duration", min: Math.min(1, presetValue(state.preset, "simulation.duration")), max: Math.max(20, presetValue(state.preset, "simulation.duration")), step: 0.5 }),
       ...choices(["controller.jacobian"]),
     ]],

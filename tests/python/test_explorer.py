@@ -23,6 +23,7 @@ from typer.testing import CliRunner
 import hexservo as hs
 from hexservo import _core
 from hexservo.cli.commands import app
+from hexservo.findings.check_keys import settings_needed
 from hexservo.report import explorer
 from hexservo.report.explorer import TITLE, ExplorerError, built_for, checked_page, explorer_page, preset_values
 from hexservo.run.files import write_file
@@ -578,23 +579,36 @@ def test_keys_of_another_kind_of_actuators_sleep(visit: Visit) -> None:
 
 
 @in_browser
-@pytest.mark.parametrize(
-    ("preset", "change"),
-    [
-        ("reachy-mini", "camera.focal_length=0.5"),
-        ("reachy-mini", "camera.pixel_scale=1"),
-        ("paper", "controller.kelly.kp=1"),
-    ],
-)
-def test_what_does_not_act_is_no_change_of_the_run(visit: Visit, preset: str, change: str) -> None:
-    """Lengths of a camera beside its focal length in pixels, and gains of another law, stay in the address alone."""
+def test_what_does_not_act_is_no_change_of_the_run(visit: Visit) -> None:
+    """What other keys replace, gains of another law, and what a choice does not use stay in the address alone."""
     page = visit.page
-    assert visit.go(f"#{preset}&{change}")["refusal"] is None
-    page.wait_for_function("explorer.reference")
-    assert page.locator("#reset").inner_text() == "Reset 1 change without effect"
-    assert page.evaluate("document.body.dataset.ghost") == ""
-    assert page.locator("#against").inner_text() == ""
-    assert hs.Scenario.from_yaml(page.evaluate("explorer.yaml()")).name == preset
+    for preset, changes in {
+        "reachy-mini": (
+            "camera.focal_length=0.5",
+            "camera.pixel_scale=1",
+            "target.depth=2",
+            "target.initial_features=1,2,3,4,5,6,7,8,9,10",
+            "robot.platform_radius=0.3",
+            "robot.base_radius=0.3",
+            "target.motion.velocity=1,0,0",
+            "controller.switching.kind=tanh",
+        ),
+        "rubin-camera-hexapod": ("robot.platform_angles=0.1,0.2,0.3,0.4,0.5,0.6",),
+        "paper": ("controller.kelly.kp=1", "controller.switching.width=5"),
+        "paper-no-fuzzy": ("controller.hybrid.fuzzy.adaptation=9", "controller.hybrid.fuzzy.error_scale=9"),
+    }.items():
+        metrics = visit.go(f"#{preset}")["metrics"]
+        page.wait_for_function("explorer.reference")
+        for change in changes:
+            end = visit.go(f"#{preset}&{change}")
+            assert end["refusal"] is None, change
+            assert end["metrics"] == pytest.approx(metrics, rel=0, abs=0, nan_ok=True), change
+            assert page.locator("#reset").inner_text() == "Reset 1 change without effect", change
+            assert page.evaluate("document.body.dataset.ghost") == ""
+            assert page.locator("#against").inner_text() == ""
+            text = page.evaluate("explorer.yaml()")
+            assert hs.Scenario.from_yaml(text).name == preset
+            assert text == page.evaluate("address => explorer.yaml(address)", f"#{preset}")
     page.click("#reset")
     assert page.evaluate("explorer.state.changes") == {}
 
@@ -660,9 +674,12 @@ def test_what_the_page_chooses_itself_is_no_parameter(visit: Visit) -> None:
 
 
 def acting(values: dict[str, Any]) -> dict[str, Any]:
-    """Leave out what does not act: keys of the other mode, an image beside points, circles beside joints."""
+    """Leave out what does not act: keys of the other mode, an image beside points, circles beside joints, and so on."""
     sampled = values["simulation.mode"] == "sampled"
     asleep = {key.name for key in _core.scenario_keys(values["controller.law"]) if key.sampled and not sampled}
+    for key, needs in settings_needed().items():
+        if key in values and any(values[other] not in allowed for other, allowed in needs.items() if other in values):
+            asleep.add(key)
     if values["target.points"] is not None:
         asleep |= {"target.initial_features", "target.depth"}
     for side in ("platform", "base"):
@@ -1502,7 +1519,7 @@ def test_an_address_with_what_is_unknown_is_read_as_far_as_it_goes(visit: Visit)
     assert visit.page.locator("#message").inner_text().split(". ") == [
         'address: expected a scenario of the list, got "nosuch": this is paper',
         'address: expected a key of "All parameters", got "nokey": left out',
-        'uncertainty.depth: expected numbers, got "abc": left out',
+        'uncertainty.depth: expected finite numbers, got "abc": left out',
         'address: expected a key of "All parameters", got "constructor": left out',
         'address: expected key=value, got "alone": left out',
     ]
