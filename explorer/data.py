@@ -1,7 +1,7 @@
 """Writes what the page knows of scenarios: ``python explorer/data.py OUT.json``, with hexservo installed.
 
-Keys come from the core's schema, their meaning from docs/model.md, and presets from the packaged scenarios: of each,
-the values by key that differ from the defaults, for each law.
+Keys come from the core's schema, their meaning from docs/model.md, what they need of other keys from `hexservo check`,
+and presets from the packaged scenarios: of each, the values by key that differ from the defaults, for each law.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any
 
 import hexservo as hs
 from hexservo import _core
+from hexservo.findings.check_keys import settings_needed
 from hexservo.report.explorer import LAWS, preset_values
 from hexservo.run.metrics import METRICS
 from hexservo.scenario.flat import plain_value
@@ -47,9 +48,16 @@ def preset(name: str, defaults: dict[str, Any]) -> dict[str, Any]:
     return {"name": name, "description": scenario.description, "values": changed}
 
 
+def needs(settings: dict[str, tuple[Any, ...]]) -> dict[str, list[Any]]:
+    """Return what a key needs of others, as the page has their values: a flag is a number."""
+    return {
+        key: [int(value) if isinstance(value, bool) else value for value in values] for key, values in settings.items()
+    }
+
+
 def data() -> dict[str, Any]:
     """Return everything."""
-    meaning = meanings()
+    meaning, needed = meanings(), settings_needed()
     keys, none = [], {}
     defaults: dict[str, Any] = {"controller.law": LAWS[0]}
     for law in LAWS:
@@ -67,6 +75,7 @@ def data() -> dict[str, Any]:
             {key: value for key, value in entry.items() if key not in ("concern", "reach")}
             | {"default": defaults[name], "meaning": text or leaf.replace("_", " ")}
             | ({"none": none[name]} if name in none else {})  # a number that the core has for null
+            | ({"needs": needs(needed[name])} if name in needed else {})
         )
     names = sorted(hs.scenario_names(), key=lambda name: (name != "paper", name))
     return {
@@ -74,6 +83,7 @@ def data() -> dict[str, Any]:
         "laws": list(LAWS),
         "twist_laws": [law for law in LAWS if _core.LAW_TRAITS[law].output == "twist"],
         "keys": keys,
+        "most_delay": _core.MAX_ACTUATOR_DELAY,
         "metrics": [{"name": name, "unit": unit, "meaning": text} for name, (unit, text, *_) in METRICS.items()],
         "presets": [preset(name, defaults) for name in names],
     }

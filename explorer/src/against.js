@@ -24,6 +24,7 @@ export const isSameRun = (one, other) => one.preset === other.preset && differen
 function measured(key) {
   if (key === "target.desired_features") return "goal";
   if (key === "target.points") return "target";
+  if (key === "robot.legs") return "kind of legs";
   if (key === "target.initial_features" || key.startsWith("simulation.start.")) return "start";
   const [block, leaf] = key.split(".");
   return block === "metrics" ? leaf.replaceAll("_", " ") : "";

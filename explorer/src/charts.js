@@ -3,7 +3,7 @@ import uPlot from "uplot";
 import { drawBounds, drawErrors, drawSettling } from "./behind.js";
 import { element } from "./controls.js";
 import { axisNumber, readable, short, withUnit } from "./format.js";
-import { colours, lookOf, strip, write } from "./view.js";
+import { colours, dark, lookOf, strip, write } from "./view.js";
 
 const WIDEST_GAP = 3; // pixels between two samples, above which their distance is stated
 const AXES = ["x", "y", "z", "about x", "about y", "about z"];
@@ -17,7 +17,7 @@ export const FIGURES = {
   moments: { title: "Moment", quantity: "wrench", unit: "N m", from: 3, to: 6, name: names(AXES.map((name) => name.replace("about ", ""))) },
   legs: { title: "Leg forces, torques of cranks", quantity: "leg_forces", unit: "N", rotary: "N m", name: legs },
   lengths: { title: "Leg lengths, angles of cranks", quantity: "leg_lengths", unit: "m", rotary: "rad", name: legs },
-  position: { title: "Position", quantity: "position", unit: "m", name: names(AXES), change: true },
+  position: { title: "Displacement from the start", quantity: "position", unit: "m", name: names(AXES), change: true },
   velocity: { title: "Velocity", quantity: "twist", unit: "m/s", from: 0, to: 3, name: names(AXES) },
   turning: { title: "Angular velocity", quantity: "twist", unit: "rad/s", from: 3, to: 6, name: names(AXES) },
   fuzzy: { title: "Output of the fuzzy systems, force", quantity: "fuzzy_output", unit: "N", from: 0, to: 3, name: names(AXES) },
@@ -40,11 +40,15 @@ export class Chart {
     this.spacing = element("small", { class: "spacing" });
     box.append(this.spacing); // beside the name of the axis: a note that comes and goes moves nothing
     box.parentElement.querySelector("figcaption").append(this.note);
-    new ResizeObserver(() => this.plot?.setSize(this.size())).observe(box);
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+    new ResizeObserver(() => this.fit()).observe(box);
+    dark.addEventListener("change", () => {
       this.count = -1;
       if (this.result) this.show(this.result);
     });
+  }
+
+  fit() {
+    this.plot?.setSize(this.size());
   }
 
   size() {

@@ -1,7 +1,7 @@
 /** Sliders for the keys that matter, and the list of all keys. */
 import { readable, rounded, short } from "./format.js";
 import { write } from "./view.js";
-import { acts, changed, keyOf, keysOf, listedKeysOf, parsed, presetValue, same, textOf, valueOf, whole } from "./model.js";
+import { acts, changed, keyOf, keysOf, listedKeysOf, mostDelay, parsed, presetValue, same, textOf, valueOf, whole } from "./model.js";
 
 const element = (name, attributes = {}, ...children) => {
   const made = document.createElement(name);
@@ -17,6 +17,7 @@ export { element };
 // --- what sliders there are
 
 const GAIN_DECADES = 1.5;
+const ROUNDING = 1e-6; // of a number of steps
 const NAMED = { "controller.switching.kind": "switching", "actuators.kind": "drives take", "target.motion.kind": "motion" };
 
 /** A slider of one number, or of entries of an array: it sets equal ones, and moves different ones together. */
@@ -40,7 +41,7 @@ function slider(state, key, { label, from = 0, to = Infinity, min, max, step = 0
     id: key + mark,
     unit,
     min,
-    max,
+    max: step ? rounded(min + step * Math.ceil((max - min) / step - ROUNDING)) : max, // a whole number of steps above the least value
     step,
     log,
     percent,
@@ -101,7 +102,8 @@ function gainSliders(state, spec) {
 
 /** Of sampled mode: what the legs take, and how they follow where that is positions. */
 function drives(state) {
-  const delay = slider(state, "actuators.delay", { label: "delay", min: 0, max: 0.05, step: valueOf(state, "simulation.step") });
+  const step = valueOf(state, "simulation.step");
+  const delay = slider(state, "actuators.delay", { label: "delay", min: 0, max: mostDelay * step, step });
   const positions = ["bandwidth", "damping"].flatMap((name) => gainSliders(state, keyOf[`actuators.position.${name}`]));
   return [{ key: "actuators.kind", choice: true }, delay, ...(valueOf(state, "actuators.kind") === "position" ? positions : [])];
 }
@@ -122,8 +124,10 @@ export function groups(state) {
   const relative = (key, label, more = {}) => (has(key) ? [slider(state, key, { label, min: -0.5, max: 0.5, step: 0.005, percent: true, ...more })] : []);
   const gains = keysOf(law).filter(({ key, type }) => key.startsWith(`controller.${law}.`) && (type === "number" || type === "array")).filter((spec) => acts(state, spec));
   const main = gains.filter(({ key }) => !key.includes(".fuzzy."));
+  const switches = acts(state, keyOf["controller.switching.kind"]);
+  const width = keyOf["controller.switching.width"];
   const fuzzy = gains.filter(({ key }) => /fuzzy\.(adaptation|error_scale|rate_scale|leakage|weight_limit)$/.test(key));
-  const choices = (names) => names.filter(has).map((key) => ({ key, choice: true }));
+  const choices = (names) => names.filter((key) => has(key) && acts(state, keyOf[key])).map((key) => ({ key, choice: true }));
   const start = ["x", "y", "z"].map((axis, i) => slider(state, "simulation.start.pose", { label: `start ${axis}`, from: i, to: i + 1, min: -0.05, max: 0.05, step: 0.0005, mark: `/${i}` }));
   const turn = ["x", "y", "z"].map((axis, i) => slider(state, "simulation.start.pose", { label: `start about ${axis}`, from: i + 3, to: i + 4, min: -0.35, max: 0.35, step: 0.0025, mark: `/${i + 3}` }));
   const scale = Math.max(1, ...[presetValue(state.preset, "robot.platform_radius") ?? 0.1].map((radius) => radius / 0.1));
@@ -151,9 +155,9 @@ export function groups(state) {
     ["Motion of the target", false, sampled ? targetMotion(state) : []],
     ["Start", false, [...start, ...turn]],
     ["Fuzzy systems", false, fuzzy.flatMap((spec) => gainSliders(state, spec))],
-    ["Switching, duration", false, [
+    [switches ? "Switching, duration" : "Duration", false, [
       ...choices(["controller.switching.kind"]),
-      ...gainSliders(state, keyOf["controller.switching.width"]),
+      ...(acts(state, width) ? gainSliders(state, width) : []),
       slider(state, "simulation.duration", { label: "duration", min: Math.min(1, presetValue(state.preset, "simulation.duration")), max: Math.max(20, presetValue(state.preset, "simulation.duration")), step: 0.5 }),
       ...choices(["controller.jacobian"]),
     ]],
@@ -169,8 +173,8 @@ const FINE = 1000;
 export const toPlace = ({ min, max, log }, value) => (log ? Math.log(value / min) / Math.log(max / min) : (value - min) / (max - min));
 export function fromPlace({ min, max, log, step }, place) {
   if (log) return rounded(min * (max / min) ** place, 4);
-  const raw = min + place * (max - min);
-  return step ? rounded(Math.round(raw / step) * step) : rounded(raw);
+  const raw = place * (max - min);
+  return rounded(Math.min(max, min + (step ? Math.round(raw / step) * step : raw)));
 }
 
 /** A value of a slider, with its unit. */
@@ -291,12 +295,21 @@ export class KeyList {
       this.box.replaceChildren(...this.rows.map(({ row }) => row));
       this.filter();
     }
-    for (const { spec, row, input } of this.rows) {
-      const value = valueOf(state, spec.key);
-      if (document.activeElement !== input) input.value = spec.type === "flag" ? String(value) : textOf(value);
+    for (const entry of this.rows) {
+      const { spec, row, input } = entry;
+      if (!entry.isUnsent || document.activeElement !== input) this.write(entry);
       row.classList.toggle("changed", spec.key in state.changes);
       row.classList.toggle("asleep", !acts(state, spec));
     }
+  }
+
+  /** Writes into a field the value that its key has, in place of what was typed and not sent or not understood. */
+  write(entry) {
+    const { spec, input } = entry;
+    const text = textOf(valueOf(this.state, spec.key));
+    if (input.value !== text) input.value = text;
+    input.setCustomValidity("");
+    entry.isUnsent = false;
   }
 
   row(spec) {
@@ -305,6 +318,7 @@ export class KeyList {
       input.setCustomValidity("");
       try {
         const value = parsed(spec.key, input.value);
+        entry.isUnsent = false;
         this.change((state) => changed(state, spec.key, value), true);
       } catch (error) {
         input.setCustomValidity(error.message);
@@ -317,7 +331,10 @@ export class KeyList {
       : element("input", { id, type: "text", inputmode: "text", autocomplete: "off", spellcheck: "false", onchange: set });
     const about = [spec.unit && spec.unit !== "1" ? `[${spec.unit}]` : "", bounds(spec), spec.optional ? "or none" : "", spec.mode === "sampled" ? "sampled mode" : ""].filter(Boolean).join(" · ");
     const row = element("div", { class: "key" }, element("label", { for: id }, spec.key), input, element("p", {}, spec.meaning, element("small", {}, about ? ` ${about}` : "")));
-    return { spec, row, input };
+    const entry = { spec, row, input, isUnsent: false };
+    input.addEventListener("input", () => (entry.isUnsent = true));
+    input.addEventListener("blur", () => input.validationMessage || this.write(entry)); // what was refused stays, with why
+    return entry;
   }
 
   filter() {

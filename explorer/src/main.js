@@ -12,7 +12,7 @@ import { ParameterMap } from "./map.js";
 import { actingChanges, changed, drawn, full, groups, laws, metrics, presetOf, presets, readAddress, same, start, textOf, toAddress, toYaml, valueOf, version } from "./model.js";
 import { endsAt, targetAt } from "./machine.js";
 import { MachineView } from "./scene.js";
-import { write } from "./view.js";
+import { dark, write } from "./view.js";
 
 const $ = (id) => document.getElementById(id);
 const SETTLE = 300; // milliseconds of rest after which the address follows
@@ -293,11 +293,11 @@ function table() {
   const label = pinned ? pinnedLabel(result.state, pinned) : "preset";
   write($("of-preset"), unmet().length ? `${label}, refused` : reason ? `${label}, not comparable: ${reason}` : label);
   for (const { name, unit: known, cells } of rows) {
-    const unit = unitOfMetric(result.state, { name, unit: known });
+    const unitOf = (state) => unitOfMetric(state, { name, unit: known }); // of two kinds of legs they differ
     const [value, before] = [result.metrics[name], against?.metrics[name] ?? NaN];
     cells[0].parentElement.hidden = Number.isNaN(value) && Number.isNaN(before) && name !== "settling_time";
-    write(cells[0], withUnit(value, unit));
-    write(cells[1], against ? withUnit(before, unit) : "");
+    write(cells[0], withUnit(value, unitOf(result.state)));
+    write(cells[1], against ? withUnit(before, unitOf(against.state)) : "");
     const ratio = value / before;
     const alike = Math.abs(ratio - 1) < 0.01 || (Number.isNaN(value) && Number.isNaN(before));
     cells[0].className = !differs || alike ? "" : ratio < 1 || (Number.isNaN(before) && !Number.isNaN(value)) ? "good" : ratio > 1 || Number.isNaN(value) ? "bad" : "";
@@ -390,8 +390,11 @@ addEventListener("hashchange", () => {
   goesOn = false;
 });
 addEventListener("resize", () => result && at(share));
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => result && requestAnimationFrame(() => (show(), refresh())));
-matchMedia("print").addEventListener("change", () => result && at(share));
+dark.addEventListener("change", () => result && (show(), refresh()));
+matchMedia("print").addEventListener("change", () => {
+  for (const chart of charts) chart.fit(); // no observer of sizes is asked before a page is printed
+  if (result) at(share);
+});
 for (const name of ["focus", "blur"]) $("image").addEventListener(name, () => result && at(share));
 
 new ResizeObserver(([{ target }]) => {

@@ -6,7 +6,7 @@
 
 const data = globalThis.HEXSERVO_DATA ?? JSON.parse(globalThis.document.getElementById("data").textContent);
 
-export const { laws, twist_laws: twistLaws, keys, metrics, presets, version } = data;
+export const { laws, twist_laws: twistLaws, keys, metrics, presets, version, most_delay: mostDelay } = data;
 
 /** What `hexservo explore` wrote into the page: a packaged scenario's name, or a scenario as one more preset. */
 const own = JSON.parse(globalThis.document?.getElementById("own").textContent ?? "null");
@@ -66,14 +66,25 @@ function kindsOf(key) {
 
 const isOfItsKind = (state, key) => kindsOf(key)?.includes(valueOf(state, "actuators.kind")) ?? true;
 
+/** Keys that another key, where it is given, replaces. */
+const REPLACED = [
+  [/^camera\.(focal_length|pixel_scale)$/, "camera.focal_pixels"],
+  [/^target\.(initial_features|depth)$/, "target.points"],
+  [/^robot\.platform_(radius|angles)$/, "robot.platform_joints"],
+  [/^robot\.base_(radius|angles)$/, "robot.base_joints"],
+];
+
+/** Whether other keys have one of the values with which a key acts (`hexservo check`), such as its law, and none is given that replaces it. */
+const isNeeded = (state, { key, needs = {} }) =>
+  Object.entries(needs).every(([other, values]) => values.includes(valueOf(state, other))) && REPLACED.every(([names, by]) => !names.test(key) || valueOf(state, by) === null);
+
 /**
- * Whether a key has an effect: not one of another law, of the other mode or of another kind of actuators, nor what makes a
- * wrench of a twist where legs follow that by themselves, nor lengths of a camera whose focal length is given in pixels.
+ * Whether a key has an effect: not one that is not needed, of the other mode or of another kind of actuators, nor what makes a
+ * wrench of a twist where legs follow that by themselves.
  */
-export function acts(state, { key, mode }) {
-  const law = valueOf(state, "controller.law");
-  if ((lawOfKey(key) ?? law) !== law || !isOfItsKind(state, key)) return false;
-  if (/^camera\.(focal_length|pixel_scale)$/.test(key)) return valueOf(state, "camera.focal_pixels") === null;
+export function acts(state, spec) {
+  const { key, mode } = spec;
+  if (!isNeeded(state, spec) || !isOfItsKind(state, key)) return false;
   const sampled = valueOf(state, "simulation.mode") === "sampled";
   if (mode === "sampled" && !sampled) return false;
   const follow = sampled && valueOf(state, "actuators.kind") !== "force";
@@ -106,15 +117,19 @@ export function changed(state, key, number) {
 
 export const textOf = (value) => (value === null ? "none" : [value].flat().join(" "));
 
+const FLAGS = { 1: 1, 0: 0, true: 1, false: 0 };
+
 /** Reads what a user types; throws a sentence. */
 export function parsed(key, text) {
-  const spec = keyOf[key];
+  const { type, optional } = keyOf[key];
   const words = text.trim().split(/[\s,;[\]]+/).filter(Boolean);
-  if (spec.type === "choice" || spec.type === "seed") return text.trim();
-  if (spec.optional && (words.length === 0 || /^(none|null)$/.test(words[0]))) return null;
+  if (type === "choice" || type === "seed") return text.trim();
+  if (type === "flag" && words.length === 1 && Object.hasOwn(FLAGS, words[0])) return FLAGS[words[0]];
+  if (optional && (words.length === 0 || /^(none|null)$/.test(words.join(" ")))) return null;
   const numbers = words.map(Number);
-  if (!numbers.length || numbers.some((number) => Number.isNaN(number))) throw new Error(`${key}: expected numbers, got "${text}"`);
-  return ["number", "whole", "flag"].includes(spec.type) && numbers.length === 1 ? numbers[0] : numbers;
+  const wanted = type === "flag" ? "1 or 0" : `finite numbers${optional ? " or none" : ""}`;
+  if (type === "flag" || !numbers.length || !numbers.every(Number.isFinite)) throw new Error(`${key}: expected ${wanted}, got "${text}"`);
+  return ["number", "whole"].includes(type) && numbers.length === 1 ? numbers[0] : numbers;
 }
 
 // --- address
@@ -196,7 +211,6 @@ const yamlNumber = (number) => String(number);
  */
 export function toYaml(state) {
   const scenario = full(state);
-  const points = scenario["target.points"] !== null;
   const tree = {};
   const put = (key, text) => {
     const path = key.split(".");
@@ -208,9 +222,6 @@ export function toYaml(state) {
   for (const key of keysOf(scenario["controller.law"])) {
     const value = scenario[key.key];
     const fixed = key.key.startsWith("robot.") || ["target.initial_features", "target.desired_features", "target.depth"].includes(key.key);
-    if (points && (key.key === "target.initial_features" || key.key === "target.depth")) continue;
-    const side = key.key.match(/^robot\.(platform|base)_(radius|angles)$/)?.[1];
-    if (side && scenario[`robot.${side}_joints`] !== null) continue;
     if (!acts(state, key)) continue;
     if (fixed || !same(value, key.default)) put(key.key, yamlValue(key, value));
   }

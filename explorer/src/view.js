@@ -3,6 +3,9 @@
 const COLOURS = ["ink", "faint", "line", "paper", "panel", "accent", "good", "bad", "warn", "c0", "c1", "c2", "c3", "c4", "c5", "c6", "c7"];
 let palette = null;
 
+/** Whether the page is drawn in dark colours: paper is light. */
+export const dark = matchMedia("screen and (prefers-color-scheme: dark)");
+
 /** Colours by name, those of light or dark. */
 export function colours() {
   if (palette) return palette;
@@ -10,7 +13,7 @@ export function colours() {
   palette = Object.fromEntries(COLOURS.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
   return palette;
 }
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => (palette = null));
+dark.addEventListener("change", () => (palette = null));
 
 const LINE_COLOURS = 8;
 

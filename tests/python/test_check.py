@@ -16,9 +16,10 @@ from hexservo import _core
 from hexservo.findings.analysis.linear_law import NotFiniteError
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check import fastest_rate, unlikely
-from hexservo.findings.check_keys import keys_without_effect
+from hexservo.findings.check_keys import keys_without_effect, needed_by, settings_needed
 from hexservo.scenario.core_defaults import core_default
 from hexservo.scenario.fitted import gains_written
+from hexservo.scenario.keys import value_at
 from hexservo.scenario.laws import LAWS, laws_with
 from test_keys_with_effect import fingerprint
 
@@ -635,6 +636,25 @@ def test_keys_that_are_noted_change_no_run(paper: hs.Scenario, base: dict[str, A
     assert sorted(key for sentence in noted for key in sentence.partition(":")[0].split(", ")) == sorted(idle)
     assert all("no effect here; " in sentence for sentence in noted)
     assert fingerprint(changed) == fingerprint(scenario)
+
+
+def test_what_keys_need_of_others_is_what_their_conditions_check(paper: hs.Scenario) -> None:
+    needs = settings_needed()
+    assert needs["controller.switching.width"] == {
+        "controller.law": laws_with("switching"),
+        "controller.switching.kind": ("tanh", "saturation"),
+    }
+    enabled = "controller.hybrid.fuzzy.enabled"
+    assert needs["controller.hybrid.fuzzy.adaptation"] == {"controller.law": ("hybrid",), enabled: (True,)}
+    assert needs[enabled] == {"controller.law": ("hybrid",)}
+    assert needs["target.motion.velocity"] == {"target.motion.kind": ("velocity",)}
+    assert not {"controller.law", "camera.outlier_size"} & set(needs)
+    for scenario in (paper, paper.updated({enabled: False})):
+        unmet = {
+            key for key, each in needs.items() if any(value_at(scenario, other) not in each[other] for other in each)
+        }
+        assert all(needed_by(key, [scenario]) for key in unmet)
+        assert not any(needed_by(key, [scenario]) for key in ("controller.switching.kind", "controller.jacobian"))
 
 
 def test_keys_whose_condition_is_met_are_not_noted_and_change_the_run(paper: hs.Scenario) -> None:

@@ -23,6 +23,7 @@ from typer.testing import CliRunner
 import hexservo as hs
 from hexservo import _core
 from hexservo.cli.commands import app
+from hexservo.findings.check_keys import settings_needed
 from hexservo.report import explorer
 from hexservo.report.explorer import TITLE, ExplorerError, built_for, checked_page, explorer_page, preset_values
 from hexservo.run.files import write_file
@@ -413,6 +414,21 @@ def test_a_run_that_is_pinned_takes_the_place_of_the_presets(visit: Visit) -> No
 
 
 @in_browser
+def test_a_pinned_run_of_legs_of_another_kind_has_its_own_units(visit: Visit) -> None:
+    """Excursions are angles of cranks or lengths, forces of legs torques or forces: not comparable."""
+    page = visit.page
+    units = {"reachy-mini": {"excursion": "°", "force": "N m"}, "paper": {"excursion": "mm", "force": "N"}}
+    for own, pinned in ("reachy-mini", "paper"), ("paper", "reachy-mini"):
+        visit.go(f"#{own}&simulation.duration=2&pinned={pinned}%26simulation.duration=2")
+        page.wait_for_function("name => explorer.reference?.state.preset === name", arg=pinned)
+        for name in ("excursion", "force"):
+            cells = page.locator("#metrics tr", has_text=f"peak leg {name}").locator("td").all_inner_texts()
+            found = [re.sub(r"^[\d.]+ ?", "", cell) for cell in cells]
+            assert found == [units[own][name], units[pinned][name]], cells
+        assert page.locator("#of-preset").inner_text().endswith(", not comparable: another kind of legs")
+
+
+@in_browser
 def test_a_preset_that_is_pinned_as_it_is_is_called_the_pinned_run(visit: Visit) -> None:
     """Its run is the reference already: only the words change."""
     page = visit.page
@@ -563,25 +579,87 @@ def test_keys_of_another_kind_of_actuators_sleep(visit: Visit) -> None:
 
 
 @in_browser
-@pytest.mark.parametrize(
-    ("preset", "change"),
-    [
-        ("reachy-mini", "camera.focal_length=0.5"),
-        ("reachy-mini", "camera.pixel_scale=1"),
-        ("paper", "controller.kelly.kp=1"),
-    ],
-)
-def test_what_does_not_act_is_no_change_of_the_run(visit: Visit, preset: str, change: str) -> None:
-    """Lengths of a camera beside its focal length in pixels, and gains of another law, stay in the address alone."""
+def test_what_does_not_act_is_no_change_of_the_run(visit: Visit) -> None:
+    """What other keys replace, gains of another law, and what a choice does not use stay in the address alone."""
     page = visit.page
-    assert visit.go(f"#{preset}&{change}")["refusal"] is None
-    page.wait_for_function("explorer.reference")
-    assert page.locator("#reset").inner_text() == "Reset 1 change without effect"
-    assert page.evaluate("document.body.dataset.ghost") == ""
-    assert page.locator("#against").inner_text() == ""
-    assert hs.Scenario.from_yaml(page.evaluate("explorer.yaml()")).name == preset
+    for preset, changes in {
+        "reachy-mini": (
+            "camera.focal_length=0.5",
+            "camera.pixel_scale=1",
+            "target.depth=2",
+            "target.initial_features=1,2,3,4,5,6,7,8,9,10",
+            "robot.platform_radius=0.3",
+            "robot.base_radius=0.3",
+            "target.motion.velocity=1,0,0",
+            "controller.switching.kind=tanh",
+        ),
+        "rubin-camera-hexapod": ("robot.platform_angles=0.1,0.2,0.3,0.4,0.5,0.6",),
+        "paper": ("controller.kelly.kp=1", "controller.switching.width=5"),
+        "paper-no-fuzzy": ("controller.hybrid.fuzzy.adaptation=9", "controller.hybrid.fuzzy.error_scale=9"),
+    }.items():
+        metrics = visit.go(f"#{preset}")["metrics"]
+        page.wait_for_function("explorer.reference")
+        for change in changes:
+            end = visit.go(f"#{preset}&{change}")
+            assert end["refusal"] is None, change
+            assert end["metrics"] == pytest.approx(metrics, rel=0, abs=0, nan_ok=True), change
+            assert page.locator("#reset").inner_text() == "Reset 1 change without effect", change
+            assert page.evaluate("document.body.dataset.ghost") == ""
+            assert page.locator("#against").inner_text() == ""
+            text = page.evaluate("explorer.yaml()")
+            assert hs.Scenario.from_yaml(text).name == preset
+            assert text == page.evaluate("address => explorer.yaml(address)", f"#{preset}")
     page.click("#reset")
     assert page.evaluate("explorer.state.changes") == {}
+
+
+@in_browser
+def test_what_does_not_act_has_no_slider(visit: Visit) -> None:
+    """The width of sign, gains of fuzzy systems that are off, and the switching term of a law that has none."""
+    fuzzy = ["adaptation", "error_scale", "rate_scale", "leakage"]
+    smooth = "#paper&controller.switching.kind=tanh"
+    for address, width, has_fuzzy in (
+        ("#paper", False, True),
+        (smooth, True, True),
+        (f"{smooth}&controller.law=pbvs", False, False),
+        ("#paper-no-fuzzy", False, False),
+        ("#paper-no-fuzzy&controller.hybrid.fuzzy.enabled=1", False, True),
+    ):
+        visit.go(address)
+        names = set(visit.page.evaluate("[...document.querySelectorAll('#controls [data-id]')].map(x => x.dataset.id)"))
+        assert any(name.startswith("controller.switching.width") for name in names) == width, address
+        law_switches = "pbvs" not in address
+        assert ("controller.switching.kind" in names) == law_switches, address
+        found = {leaf for leaf in fuzzy if any(f".fuzzy.{leaf}" in name for name in names)}
+        assert bool(found) == has_fuzzy, (address, found)
+        assert ("controller.hybrid.fuzzy.enabled" in names) == law_switches, address
+
+
+@in_browser
+def test_a_field_of_a_key_has_its_value_but_while_something_else_is_typed(visit: Visit) -> None:
+    """Where Back undid what was sent from it, too; text that was refused stays, with why, until the next run."""
+    page = visit.page
+    visit.go("#composite-30hz")
+    page.click("#all-keys > summary")
+    field = page.locator("[id='key-camera.noise']")
+    usual = field.input_value()
+    field.fill("1.5")
+    field.press("Enter")
+    page.wait_for_function("explorer.shown.endsWith('camera.noise=1.5') && location.hash === explorer.shown")
+    page.go_back()
+    page.wait_for_function("explorer.shown === '#composite-30hz'")
+    assert page.evaluate("document.activeElement.id") == "key-camera.noise"
+    assert field.input_value() == usual
+    field.fill("0.7")
+    visit.go("#composite-30hz&uncertainty.gravity=0.01")
+    assert field.input_value() == "0.7"
+    field.fill("abc")
+    field.press("Enter")
+    page.keyboard.press("Tab")
+    message = "document.getElementById('key-camera.noise').validationMessage"
+    assert (field.input_value(), page.evaluate(message)) == ("abc", 'camera.noise: expected finite numbers, got "abc"')
+    visit.go("#composite-30hz")
+    assert (field.input_value(), page.evaluate(message)) == (usual, "")
 
 
 @in_browser
@@ -596,9 +674,12 @@ def test_what_the_page_chooses_itself_is_no_parameter(visit: Visit) -> None:
 
 
 def acting(values: dict[str, Any]) -> dict[str, Any]:
-    """Leave out what does not act: keys of the other mode, an image beside points, circles beside joints."""
+    """Leave out what does not act: keys of the other mode, an image beside points, circles beside joints, and so on."""
     sampled = values["simulation.mode"] == "sampled"
     asleep = {key.name for key in _core.scenario_keys(values["controller.law"]) if key.sampled and not sampled}
+    for key, needs in settings_needed().items():
+        if key in values and any(values[other] not in allowed for other, allowed in needs.items() if other in values):
+            asleep.add(key)
     if values["target.points"] is not None:
         asleep |= {"target.initial_features", "target.depth"}
     for side in ("platform", "base"):
@@ -1333,6 +1414,47 @@ def test_a_slider_of_different_errors_shifts_them_all(visit: Visit) -> None:
 
 
 @in_browser
+def test_every_place_of_the_delay_is_a_delay_that_the_core_takes(visit: Visit) -> None:
+    """It reaches eight servo periods in steps of one, of which places of a map between two steps are one."""
+    page = visit.page
+    for preset in ("composite-30hz", "pi-h824-positions"):
+        step = hs.load_scenario(preset).simulation.step
+        for place, ticks in {1000: 8, 500: 4, 70: 1, 40: 0}.items():
+            visit.go(f"#{preset}&simulation.duration=0.2&metrics.rms_start=0.1&metrics.dwell=0.1")
+            page.evaluate(
+                """place => {
+                  const input = document.querySelector('[data-id="actuators.delay"]');
+                  explorer.shown = null;
+                  input.step = 'any';
+                  input.value = place;
+                  input.dispatchEvent(new Event('change'));
+                  if (!('actuators.delay' in explorer.state.changes)) explorer.shown = '';
+                }""",
+                place,
+            )
+            page.wait_for_function("explorer.shown !== null")
+            assert visit.end()["refusal"] is None, place
+            delay = page.evaluate("explorer.full()['actuators.delay']")
+            assert delay == pytest.approx(ticks * step, rel=1e-9), (preset, place)
+
+
+@in_browser
+def test_the_duration_goes_back_to_that_of_a_short_preset(browser: Browser, tmp_path: Path) -> None:
+    path = tmp_path / "short.html"
+    short = {"name": "short", "simulation.duration": 0.2, "metrics.rms_start": 0.1, "metrics.dwell": 0.1}
+    path.write_text(explorer_page(hs.load_scenario("paper").updated(short)), encoding="utf-8")
+    visit = Visit(browser, path)
+    visit.page.click("#controls summary:has-text('duration')")
+    for key, words in {"ArrowRight": "0.7 s", "ArrowLeft": "0.2 s", "End": "20.2 s", "Home": "0.2 s"}.items():
+        press(visit.page, "simulation.duration", key)
+        assert visit.page.evaluate("explorer.refusal") is None
+        assert told(visit.page, "simulation.duration")[1] == words, key
+    assert visit.page.evaluate("explorer.state.changes") == {}
+    assert visit.problems == []
+    visit.context.close()
+
+
+@in_browser
 def test_a_slider_of_different_gains_multiplies_them_all(visit: Visit) -> None:
     page = visit.page
     kp = "controller.pbvs.kp/angular"
@@ -1397,10 +1519,24 @@ def test_an_address_with_what_is_unknown_is_read_as_far_as_it_goes(visit: Visit)
     assert visit.page.locator("#message").inner_text().split(". ") == [
         'address: expected a scenario of the list, got "nosuch": this is paper',
         'address: expected a key of "All parameters", got "nokey": left out',
-        'uncertainty.depth: expected numbers, got "abc": left out',
+        'uncertainty.depth: expected finite numbers, got "abc": left out',
         'address: expected a key of "All parameters", got "constructor": left out',
         'address: expected key=value, got "alone": left out',
     ]
+    for change, words in {
+        "camera.timeout=Infinity": 'camera.timeout: expected finite numbers or none, got "Infinity"',
+        "simulation.duration=-Infinity": 'simulation.duration: expected finite numbers, got "-Infinity"',
+        "camera.gate=none,5": 'camera.gate: expected finite numbers or none, got "none 5"',
+        "robot.payload.known=2": 'robot.payload.known: expected 1 or 0, got "2"',
+    }.items():
+        visit.go(f"#composite-30hz&{change}")
+        assert visit.page.evaluate("explorer.state.changes") == {}, change
+        assert visit.page.locator("#message").inner_text() == f"{words}: left out"
+    for word, value in {"false": 0, "0": 0, "none": None}.items():
+        key = "camera.gate" if value is None else "robot.payload.known"
+        visit.go(f"#composite-30hz&camera.gate=5&{key}={word}")
+        assert visit.page.evaluate("key => explorer.full()[key]", key) == value, word
+        assert visit.page.locator("#message").is_hidden()
     visit.go("#paper&controller.switching.kind=implicit&nokey=1")
     words = visit.page.locator("#message").inner_text()
     assert words.startswith("controller.switching.kind: ")
@@ -1434,7 +1570,7 @@ def test_what_the_core_refuses_is_shown_in_its_words(visit: Visit) -> None:
 
 
 @in_browser
-@pytest.mark.parametrize("change", ["step=0", "step=1e-30", "duration=Infinity", "duration=1e15"])
+@pytest.mark.parametrize("change", ["step=0", "step=1e-30", "duration=1e15"])
 def test_a_refusal_names_the_key_that_was_changed(visit: Visit, change: str) -> None:
     """What the page adds for itself, how often a run is sampled, is right whatever the step and the duration are."""
     refusal = visit.go(f"#paper&simulation.{change}")["refusal"]
@@ -1893,6 +2029,9 @@ def test_charts_tell_the_values_where_the_pointer_is_and_else_those_of_now(visit
     page.locator("#time").fill("0.02")
     assert check() == pytest.approx(0.1, abs=samples["time"][1])
     assert page.locator("#now").inner_text() == page.locator("#chart-0 + .legend i").inner_text()
+    page.select_option("#figure-1", label="Displacement from the start")
+    page.locator("#time").fill("0")
+    assert page.locator("#chart-1 + .legend b").all_inner_texts() == ["0"] * 3
 
 
 def looks_of(page: Page, chart: int) -> list[str]:
@@ -1932,6 +2071,32 @@ def test_on_paper_there_are_pictures_and_numbers_and_no_controls(visit: Visit) -
         assert page.locator(name).is_hidden(), name
     page.emulate_media(media="screen")
     assert page.locator("#controls").is_visible()
+
+
+@in_browser
+def test_what_is_printed_has_light_colours_and_charts_of_the_width_of_the_paper(visit: Visit) -> None:
+    page = visit.page
+    for scheme in ("light", "dark"):
+        page.emulate_media(color_scheme=scheme)
+        page.evaluate(
+            """() => {
+              const widths = box => [box, box.querySelector('canvas')].map(found => found.clientWidth);
+              globalThis.looks = () => ({
+                widths: [...document.querySelectorAll('.chart')].map(widths),
+                paper: getComputedStyle(document.documentElement).backgroundColor,
+                line: explorer.charts()[0].series[1].stroke(),
+              });
+              matchMedia('print').addEventListener('change', event => event.matches && (globalThis.printed = looks()));
+            }"""
+        )
+        before = page.evaluate("looks()")
+        page.pdf(format="Letter")
+        printed = page.evaluate("printed")
+        assert (printed["paper"], printed["line"]) == ("rgb(255, 255, 255)", "#1f6feb"), scheme
+        assert len(printed["widths"]) == 3
+        for box, canvas in printed["widths"]:
+            assert (box > 650, canvas) == (True, pytest.approx(box, abs=1)), scheme  # Letter has 816 px of the screen's
+        page.wait_for_function("before => JSON.stringify(looks()) === JSON.stringify(before)", arg=before)
 
 
 @in_browser

@@ -18,6 +18,8 @@ from hexservo.scenario.plain import plain
 from hexservo.scenario.presets import ROBOT_PRESETS
 from hexservo.scenario.scenario import Scenario
 
+_Need = tuple[str, tuple[Any, ...]]  # a key, and the values of it with which others act
+
 
 @dataclass(frozen=True)
 class _Condition:
@@ -28,6 +30,7 @@ class _Condition:
     when: str  # the condition, as it follows "they act"
     can_be_met: bool = True  # by other settings of the scenario
     last: int = 0  # so many numbers at the end of arrays; 0: all
+    needs: tuple[_Need, ...] = ()  # all of the condition, where it is one on values of other keys
 
     def has(self, key: str) -> bool:
         """Return whether all of a dotted key is subject to the condition."""
@@ -43,23 +46,34 @@ class _Condition:
                 yield key
 
 
-def _switches(scenario: Scenario) -> bool:
-    return scenario.controller.law in laws_with("switching")
+_SWITCHES: _Need = ("controller.law", laws_with("switching"))
+_HAS_SLOPE = (_SWITCHES, ("controller.switching.kind", SMOOTH_KINDS))
+
+
+def _has(scenario: Scenario, needs: Iterable[_Need]) -> bool:
+    return all(value_at(scenario, key) in values for key, values in needs)
 
 
 def has_slope(scenario: Scenario) -> bool:
     """Return whether the law has a switching term with a slope at rest."""
-    return _switches(scenario) and scenario.controller.switching.kind in SMOOTH_KINDS
+    return _has(scenario, _HAS_SLOPE)
 
 
 def _uses_exposures(scenario: Scenario) -> bool:
     return predicts(scenario) or scenario.camera.timeout is not None or scenario.controller.law not in LAWS
 
 
+def _where(keys: Iterable[str], needs: tuple[_Need, ...], when: str, law: str | None = None) -> _Condition:
+    """Return a condition on values of other keys; for gains of a law met where another law acts."""
+
+    def acts(scenario: Scenario) -> bool:
+        return scenario.controller.law != (law or scenario.controller.law) or _has(scenario, needs)
+
+    return _Condition(tuple(keys), acts, when, needs=needs)
+
+
 def _with(keys: Iterable[str], setting: str, value: str) -> _Condition:
-    return _Condition(
-        tuple(keys), lambda scenario: value_at(scenario, setting) == value, f"only with {setting}: {value}"
-    )
+    return _where(keys, ((setting, (value,)),), f"only with {setting}: {value}")
 
 
 def _above_zero(key: str, setting: str) -> _Condition:
@@ -76,8 +90,10 @@ def _in_block(law: str, keys: Iterable[str], acts: Callable[[Any], bool], when: 
 
 
 def _of_fuzzy(law: str) -> Iterator[_Condition]:
-    keys = ("fuzzy", "drive") if hasattr(getattr(Controller(), law), "drive") else ("fuzzy",)
-    yield _in_block(law, keys, lambda gains: gains.fuzzy.enabled, "{block}.fuzzy.enabled: true")
+    names = ("fuzzy", "drive") if hasattr(getattr(Controller(), law), "drive") else ("fuzzy",)
+    enabled = f"controller.{law}.fuzzy.enabled"
+    keys = (f"controller.{law}.{name}" for name in names)
+    yield _where(keys, ((enabled, (True,)),), f"only with {enabled}: true", law)
     yield _in_block(
         law,
         ("fuzzy.table",),
@@ -136,13 +152,13 @@ _CONDITIONS = (
         f"only with controller.{POSE_LAW}.follow: pose",
         last=3,  # a direction is followed by the target's place alone
     ),
-    _Condition(
+    _where(
         ("controller.jacobian",),
-        lambda scenario: scenario.controller.law in laws_with("depth"),
+        (("controller.law", laws_with("depth")),),
         f"only with the laws that use the image Jacobian: {', '.join(laws_with('depth'))}",
     ),
-    _Condition(("controller.switching.kind",), _switches, f"only with the laws {' and '.join(laws_with('switching'))}"),
-    _Condition(("controller.switching.width",), has_slope, "only where the switching term is tanh or saturation"),
+    _where(("controller.switching.kind",), (_SWITCHES,), f"only with the laws {' and '.join(laws_with('switching'))}"),
+    _where(("controller.switching.width",), _HAS_SLOPE, "only where the switching term is tanh or saturation"),
     _above_zero("robot.payload.known", "robot.payload.mass"),
     _above_zero("camera.outlier_size", "camera.outlier_probability"),
     _above_zero("camera.outlier_probability", "camera.outlier_size"),
@@ -220,6 +236,19 @@ def keys_without_effect(scenario: Scenario) -> list[str]:
             which = f"the last {condition.last} numbers " if condition.last else ""
             sentences.append(f"{', '.join(keys)}: {which}{has} no effect here; {acts} {condition.when}")
     return sentences
+
+
+def settings_needed() -> dict[str, dict[str, tuple[Any, ...]]]:
+    """Return what keys need that act only with certain values of others: by key, those values by the other key.
+
+    Conditions of another kind, such as a number above zero, are left out.
+    """
+    found: dict[str, dict[str, tuple[Any, ...]]] = {}
+    for condition in _CONDITIONS:
+        needs = dict(condition.needs)
+        for key in (key for name in condition.keys for key in keys_below(name) if needs and key not in needs):
+            found[key] = found.get(key, {}) | needs
+    return found
 
 
 def _idles(key: str, scenario: Scenario) -> bool:
