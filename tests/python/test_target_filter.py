@@ -41,7 +41,7 @@ def test_the_filter_is_the_textbook_one_of_all_features() -> None:
     """With a reference that goes all the way in a tick, the command is the prediction of a filter with 12 numbers.
 
     Its measurements are the 8 features themselves, not poses, with their noise; small displacements, so that they are
-    linear. Compared along the five displacements that are observable best: of the sixth the law follows the mean. Of
+    linear. Compared along the five displacements that the image shows best: of the sixth the law follows the mean. Of
     the fifth that takes a part too, (0.02/0.14)^4; what is left of the others is of second order.
     """
     sigma, frames = 0.001, 200
@@ -132,7 +132,7 @@ def test_a_followed_pose_does_not_depend_on_the_axes_of_the_base() -> None:
 def test_a_slow_target_is_followed(speed: float) -> None:
     """No coordinate of the pose is known well, and the filter's velocity of no target below 19 mm/s; the line's is.
 
-    The weakly observable part of the way is followed as the mean of 2 s.
+    What the image hardly shows of the way is followed as the mean of 2 s.
     """
     run = hs.simulate(hexapod(moving([speed, 0.0, 0.0])))
     last = np.abs(run.feature_error[run.time > 5.0].mean(axis=0)).max()
@@ -183,14 +183,14 @@ def test_the_steady_filter_is_that_of_the_recursion() -> None:
 
 
 def test_check_names_a_target_that_is_slow_but_not_steady() -> None:
-    """It sways below the speed that the filter's velocity counts from: behind by what is stated at most, and noise."""
+    """It sways below the speed that the filter's velocity counts from: behind by what is said at most, and noise."""
     noisy = hexapod({"controller.tracking.noise": 4.0, "simulation.duration": 8.0, "metrics.rms_start": 4.0})
     sway = {"target.motion": {"kind": "sinusoid", "amplitude": [0.004, 0.0, 0.0], "frequency": 0.3}}
     slow = noisy.updated(sway)
-    (stated,) = [text for text in unlikely(slow) if text.startswith("controller.tracking.certainty")]
-    print(stated)
-    behind = float(stated.split("up to about ")[-1].split(" px")[0])
-    counts = float(stated.split("counts from about ")[1].split(" mm/s")[0])
+    (said,) = [text for text in unlikely(slow) if text.startswith("controller.tracking.certainty")]
+    print(said)
+    behind = float(said.split("up to about ")[-1].split(" px")[0])
+    counts = float(said.split("counts from about ")[1].split(" mm/s")[0])
     assert 4.0 * 2.0 * np.pi * 0.3 < counts
     error = {}
     for certainty in (2.5, 0.0):
@@ -205,7 +205,7 @@ def test_check_names_a_target_that_is_slow_but_not_steady() -> None:
 
 
 def test_points_that_are_not_as_assumed_do_not_carry_the_platform_away() -> None:
-    """Along weakly observable displacements the target would seem to move with the platform."""
+    """What the image hardly shows would be motion of the target with the platform; no velocity is believed there."""
     shift = np.clip(np.arange(0.0, 8.1, 0.1) - 2.0, 0.0, 1.0)[:, None] * [0.004, -0.003, 0.002]
     errors = []
     for motion in (
@@ -231,9 +231,9 @@ def test_check_names_noise_of_the_joints_that_is_not_assumed() -> None:
     """Readings in steps of 1.5 mrad leave more in the image than the camera; the noise that is named keeps it quiet."""
     head = hs.load_scenario("reachy-mini-head")
     scenario = head.updated({"controller.law": "tracking", "camera.prediction": "none", "actuators.kind": "position"})
-    (stated,) = [text for text in unlikely(scenario) if text.startswith("controller.tracking.noise")]
-    print(stated)
-    named = float(stated.split("set it to ")[1])
+    (said,) = [text for text in unlikely(scenario) if text.startswith("controller.tracking.noise")]
+    print(said)
+    named = float(said.split("set it to ")[1])
     late = []
     for noise in (0.5, named):
         quiet = scenario.updated({"controller.tracking.noise": noise})

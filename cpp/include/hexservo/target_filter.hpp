@@ -16,8 +16,9 @@
 /// do not leak into the better by second order.
 ///
 /// A target that rests, or is slow, is followed by the straight line through its readings for as long as the filter is
-/// on it: that has little noise, and estimates a velocity far below what a filter can that expects accelerations. Along
-/// weakly observable displacements no velocity is assumed: wrongly assumed points would make one of the platform's own.
+/// on it: that has little noise, and tells a velocity far below those that a filter can tell which expects
+/// accelerations. No velocity is believed where the image hardly shows it: wrongly assumed points would make one of the
+/// platform's own.
 #pragma once
 
 #include "hexservo/latency_estimator.hpp"
@@ -27,7 +28,7 @@
 namespace hexservo {
 
 inline constexpr double kLineFrames = 200.0;  ///< frames that the straight line through the readings remembers
-inline constexpr double kObservable = 0.02;   ///< of the image's motion, from where a displacement is observable [1]
+inline constexpr double kShown = 0.02;        ///< of the image's motion, from where it shows a displacement [1]
 inline constexpr double kOffTheLine = 5.0;    ///< standard deviations of the filter at which that line starts again [1]
 
 /// The target as it is followed, and what is known of it.
@@ -39,8 +40,8 @@ struct TrackedTarget {
   Vector6<S> twist = Vector6<S>::Zero();                    ///< v [m/s; rad/s]
   Matrix6<S> xx = Matrix6<S>::Zero(), xv = Matrix6<S>::Zero(), vv = Matrix6<S>::Zero();  ///< P
   Pose<S> mean;                                                                          ///< of the readings
-  S frames{0.0};                          ///< that this mean is worth along observable displacements
-  S weak_frames{0.0};                     ///< and along weakly observable ones
+  S frames{0.0};                          ///< that this mean is worth, where the image shows a displacement
+  S hidden_frames{0.0};                   ///< and where it hardly does
   S age{0.0};                             ///< of their mean time [s]
   S spread{0.0};                          ///< of their times: sum of the squares about the mean [s^2]
   Vector6<S> trend = Vector6<S>::Zero();  ///< sum of the products of time and place about the means [m s; rad s]
@@ -59,11 +60,11 @@ struct TrackedTarget {
     }
     for (Matrix6<S>* of_pair : {&xx, &xv, &vv}) f.finite(*of_pair);
     for (Vector6<S>* six : {&twist, &trend, &slope, &followed_twist}) f.finite(*six);
-    for (S* number : {&frames, &weak_frames, &age, &spread}) f.finite(*number);
+    for (S* number : {&frames, &hidden_frames, &age, &spread}) f.finite(*number);
   }
 };
 
-/// What a frame gives of the target.
+/// What a frame tells of the target.
 template <class S>
 struct TargetReading {
   Pose<S> place;                        ///< z, in B
@@ -176,11 +177,11 @@ S times_in(const Cholesky<S, 6>& A, const Matrix6<S>& B, int axes) {
   return S(static_cast<double>(axes)) / trace;
 }
 
-/// The observable part of a displacement, V = (B^2 + c I)^-1 B^2, where B is the information of the image in
+/// The part of a displacement that the image shows, V = (B^2 + c I)^-1 B^2, where B is the information of the image in
 /// units in which shifts and rotations move it alike.
 /// @param of_image variance of what the image gives
 template <class S>
-Matrix6<S> observable_part(const Cholesky<S, 6>& of_image) {
+Matrix6<S> shown_by(const Cholesky<S, 6>& of_image) {
   using std::sqrt;
   const Matrix6<S> information = all_solved(of_image, Matrix6<S>(Matrix6<S>::Identity()));
   const Vector6<S> of_axis = information.diagonal();
@@ -191,12 +192,12 @@ Matrix6<S> observable_part(const Cholesky<S, 6>& of_image) {
   for (int i = 0; i < 6; ++i)
     for (int j = 0; j < 6; ++j) B(i, j) = scale(i) * scale(j) * information(i, j);
   const Matrix6<S> squared = B * B;
-  Matrix6<S> regular = squared;
-  for (int j = 0; j < 6; ++j) regular(j, j) += S(kObservable * kObservable * kObservable * kObservable);
-  Matrix6<S> observable = all_solved(Cholesky<S, 6>(regular), squared);
+  Matrix6<S> and_hidden = squared;
+  for (int j = 0; j < 6; ++j) and_hidden(j, j) += S(kShown * kShown * kShown * kShown);
+  Matrix6<S> shown = all_solved(Cholesky<S, 6>(and_hidden), squared);
   for (int i = 0; i < 6; ++i)
-    for (int j = 0; j < 6; ++j) observable(i, j) *= scale(i) / scale(j);
-  return observable;
+    for (int j = 0; j < 6; ++j) shown(i, j) *= scale(i) / scale(j);
+  return shown;
 }
 
 /// Takes over a frame.
@@ -250,30 +251,30 @@ void filter_target(const TrackingGains<S, N>& gains, int axes, const S& dt, cons
   xv = select(begins, none, xv);
   vv = select(begins, of_new, Matrix6<S>(S(0.5) * (vv + vv.transpose())));
 
-  // The straight line through the readings since. It begins again where the filter is off it, along observable and
-  // weakly observable displacements separately.
+  // The straight line through the readings since: begun anew where the filter is off it, in what the image shows and in
+  // what it hardly does of their own.
   const Cholesky<S, 6> of_velocity(vv), of_rest(xx), of_image(reading.of_the_image);
-  const Matrix6<S> observable = axes < 6 ? Matrix6<S>(Matrix6<S>::Identity()) : observable_part<S>(of_image);
+  const Matrix6<S> shown = axes < 6 ? Matrix6<S>(Matrix6<S>::Identity()) : shown_by<S>(of_image);
   const Pose<S> before = carried<S>(target.mean, target.slope, S(target.age + dt));
-  const Vector6<S> off = pose_difference<S>(place, before), off_observable = observable * off;
+  const Vector6<S> off = pose_difference<S>(place, before), off_in_image = shown * off;
   const auto is_off = [&](const Vector6<S>& part) {
     return !(squared_deviations<S>(of_rest, part) <= S(kOffTheLine * kOffTheLine));
   };
-  const Mask<S> restarts = begins | !(target.frames > S(0.0)) | is_off(off_observable);
-  const Mask<S> restarts_weak = begins | !(target.weak_frames > S(0.0)) | is_off(Vector6<S>(off - off_observable));
+  const Mask<S> restarts = begins | !(target.frames > S(0.0)) | is_off(off_in_image);
+  const Mask<S> restarts_hidden = begins | !(target.hidden_frames > S(0.0)) | is_off(Vector6<S>(off - off_in_image));
   const S worth = times_in<S>(of_image, reading.variance, axes), of_the_filter = times_in<S>(of_image, xx, axes);
   const S weight = min(target.frames, S(kLineFrames)), kept = weight / max(target.frames, S(1e-300));
-  const S gain = worth / (weight + worth), weak_weight = min(target.weak_frames, S(kLineFrames));
-  const S weak_gain = worth / (weak_weight + worth), age = target.age + dt;
+  const S gain = worth / (weight + worth), hidden_weight = min(target.hidden_frames, S(kLineFrames));
+  const S hidden_gain = worth / (hidden_weight + worth), age = target.age + dt;
   const Pose<S> from = select_pose<S>(restarts, before, target.mean);
   const Vector6<S> aside = pose_difference<S>(reading.place, from), to_place = pose_difference<S>(place, from);
-  const Vector6<S> by_reading = gain * aside, by_reading_weak = weak_gain * aside;
+  const Vector6<S> by_reading = gain * aside, by_reading_hidden = hidden_gain * aside;
   const Vector6<S> step = select(restarts, to_place, by_reading);
-  const Vector6<S> step_weak = select(restarts_weak, to_place, by_reading_weak);
+  const Vector6<S> step_hidden = select(restarts_hidden, to_place, by_reading_hidden);
   const Pose<S> mean = unit_pose<S>(select_pose<S>(
-      begins, place, carried<S>(from, Vector6<S>(step_weak + observable * Vector6<S>(step - step_weak)), S(1.0))));
+      begins, place, carried<S>(from, Vector6<S>(step_hidden + shown * Vector6<S>(step - step_hidden)), S(1.0))));
   const S frames = select(restarts, of_the_filter, S(weight + worth));
-  const S weak_frames = select(restarts_weak, of_the_filter, S(weak_weight + worth));
+  const S hidden_frames = select(restarts_hidden, of_the_filter, S(hidden_weight + worth));
   const S spread = select(restarts, S(0.0), S(kept * target.spread + worth * (S(1.0) - gain) * age * age));
   const Vector6<S> trend =
       select(restarts, zero, Vector6<S>(kept * target.trend + S(worth * (S(1.0) - gain) * age) * aside));
@@ -288,16 +289,16 @@ void filter_target(const TrackingGains<S, N>& gains, int axes, const S& dt, cons
   const S over_spread = select(inclined, S(S(1.0) / spread), S(0.0));
   const S steady = share_of(S(over_spread * squared_deviations<S>(of_image, trend)));
   const S own = share_of(squared_deviations<S>(of_velocity, twist));
-  const Vector6<S> slope = S(steady * over_spread) * Vector6<S>(observable * trend);
+  const Vector6<S> slope = S(steady * over_spread) * Vector6<S>(shown * trend);
   const Pose<S> on_line = carried<S>(mean, slope, age_of_mean);
   const Mask<S> moves = own > S(0.0);
   const Pose<S> followed = unit_pose<S>(select_pose<S>(
-      moves, carried<S>(on_line, Vector6<S>(observable * pose_difference<S>(place, on_line)), S(1.0)), on_line));
-  const Vector6<S> followed_twist = select(moves, Vector6<S>(max(own, steady) * Vector6<S>(observable * twist)), slope);
+      moves, carried<S>(on_line, Vector6<S>(shown * pose_difference<S>(place, on_line)), S(1.0)), on_line));
+  const Vector6<S> followed_twist = select(moves, Vector6<S>(max(own, steady) * Vector6<S>(shown * twist)), slope);
 
   const Mask<S> failed = of_velocity.failed() | of_rest.failed() | of_image.failed() | reading.failed;
   const Mask<S> good = fresh & (!failed) & is_finite(S(place.position.sum() + place.quaternion.sum())) &
-                       is_finite(S(frames + weak_frames + spread + slope.sum() + followed_twist.sum()));
+                       is_finite(S(frames + hidden_frames + spread + slope.sum() + followed_twist.sum()));
   target.place = select_pose<S>(good, place, target.place);
   target.twist = select(good, twist, target.twist);
   target.xx = select(good, xx, target.xx);
@@ -305,7 +306,7 @@ void filter_target(const TrackingGains<S, N>& gains, int axes, const S& dt, cons
   target.vv = select(good, vv, target.vv);
   target.mean = select_pose<S>(good, mean, target.mean);
   target.frames = select(good, frames, target.frames);
-  target.weak_frames = select(good, weak_frames, target.weak_frames);
+  target.hidden_frames = select(good, hidden_frames, target.hidden_frames);
   target.age = select(good, age_of_mean, target.age);
   target.spread = select(good, spread, target.spread);
   target.trend = select(good, trend, target.trend);

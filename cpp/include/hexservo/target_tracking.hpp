@@ -2,7 +2,7 @@
 /// The law `tracking`: from frames and the pose of each one's exposure to where the legs shall go (docs/model.md,
 /// section 5).
 ///
-/// What is followed is estimated in B, by a filter that estimates its velocity too (target_filter.hpp). Its velocity
+/// What is followed is estimated in B, by a filter that tells how fast it moves (target_filter.hpp). Its velocity
 /// counts as far as it exceeds its own standard deviation; where it does not, the straight line through the frames
 /// since is followed. What lies beyond `jump` standard deviations restarts the filter.
 ///
