@@ -15,7 +15,9 @@ from scipy.spatial.transform import Rotation
 
 import hexservo as hs
 from hexservo import _core
+from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check import unlikely
+from hexservo.findings.check_tracking import speed_that_counts
 from hexservo.run import variant
 from hexservo.scenario.parameters import core_parameters
 from recorded_ticks import step, ticks_of
@@ -258,6 +260,41 @@ def test_a_pose_is_followed() -> None:
     settled_before = run.time.searchsorted(1.0)
     assert np.abs(run.feature_error[settled_before]).max() < 0.5
     assert hs.metrics(run)["final_error"] < 1.0
+
+
+def test_check_names_the_speed_below_which_a_target_counts_as_resting() -> None:
+    """The deviation of the filter's velocity by its recursion; runs follow the mean of earlier frames below, not above.
+
+    Up to twice that speed the sentence stands.
+
+    At 4 times that speed the share 1 - 1/4^4 counts, and what is left is a quarter of the lag at that speed at most.
+    """
+    still_head = head(0.0)
+    gains, period = still_head.controller.gains, 0.06
+    deviation = 2.0 / 2.0 * DISTANCE / FOCAL  # of the middle of four points with 2 px of noise each
+    covariance = np.diag([deviation**2, 0.2**2])
+    step_on = np.array([[1.0, period], [0.0, 1.0]])
+    pushed = 0.5**2 * np.outer([period**2 / 2.0, period], [period**2 / 2.0, period])
+    for _ in range(2000):
+        covariance = step_on @ covariance @ step_on.T + pushed
+        covariance -= np.outer(covariance[:, 0], covariance[0]) / (covariance[0, 0] + deviation**2)
+    counts = speed_that_counts(scene_of(still_head), gains)
+    assert counts == pytest.approx(2.5 * np.sqrt(3.0 * covariance[1, 1]), rel=0.05)  # the depth is that of the mean
+
+    behind = []
+    for factor in (0.5, 1.9, 4.0):
+        moving = still_head.updated(
+            {
+                "target.motion": {"kind": "velocity", "velocity": [0.0, factor * counts, 0.0]},
+                "simulation.duration": 4.0,
+            }
+        )
+        warned = [text for text in unlikely(moving) if text.startswith("controller.tracking.certainty")]
+        assert bool(warned) == (factor < 2.0)
+        error = hs.simulate(moving).feature_error[-100:].reshape(100, -1, 2)
+        behind.append(float(np.abs(error.mean(axis=(0, 1))).max()))
+    print(f"counts from {1e3 * counts:.1f} mm/s; behind by {behind[0]:.1f} px at half, {behind[-1]:.1f} px at 4 times")
+    assert behind[-1] < behind[0] / 4.0
 
 
 def test_what_is_followed_stands_still_after_a_second_without_frames() -> None:
