@@ -82,9 +82,11 @@ def test_limits_of_the_telescope_are_within_the_travel_of_its_struts() -> None:
 
 
 @pytest.mark.parametrize("name", MACHINES)
-def test_it_settles_without_a_warning(name: str) -> None:
+def test_it_settles_without_a_warning_but_of_a_high_load(name: str) -> None:
     scenario = hs.load_scenario(name)
-    assert unlikely(scenario) == []
+    coupled = [line for line in unlikely(scenario) if "the inertia couples the axes" in line]
+    assert unlikely(scenario) == coupled
+    assert len(coupled) == (name == "moog-6dof2000e")  # docs/your-machine.md
     assert keys_without_effect(scenario) == []
     result = hs.simulate(scenario)
     metrics = hs.metrics(result)
