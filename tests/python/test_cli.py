@@ -345,10 +345,15 @@ def test_a_run_ends_with_the_warnings_of_check() -> None:
 
 
 def test_the_check_of_a_run_does_not_wait_for_scipy() -> None:
-    """Nor with a camera of other pixels and axes, on the platform or on the base, and with drives of positions."""
+    """Nor with a camera of other pixels and axes, on the platform or on the base, and with drives of positions.
+
+    Nor with fitted gains and a noisy camera, where the inertia has no products.
+    """
     script = (
         "import sys, hexservo as hs; from hexservo.findings.check import unlikely; "
-        "list(unlikely(hs.load_scenario(name)) for name in sys.argv[1:]); sys.exit('scipy' in sys.modules)"
+        "list(unlikely(hs.load_scenario(name)) for name in sys.argv[1:]); "
+        "even = {'robot.centre_of_mass': [0, 0, 0], 'robot.inertia': [0.03, 0.03, 0.03]}; "
+        "unlikely(hs.load_scenario('pi-h824', even)); sys.exit('scipy' in sys.modules)"
     )
     names = ["paper", "eye-to-hand", "reachy-mini"]
     subprocess.run([sys.executable, "-c", script, *names], check=True)

@@ -11,7 +11,7 @@ from hexservo import _core
 from hexservo.findings.analysis.reach import nearest_limit
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.analysis.words import AXES
-from hexservo.findings.coupling import SHARE, noise_at_rest, settling
+from hexservo.findings.coupling import SHARE, has_products, noise_at_rest, settling
 from hexservo.findings.leg_feedback import OF_MARGIN, feedback_margin, integral_margin
 from hexservo.findings.prior import largest_share, left_by_inverse, share_of_prior
 from hexservo.scenario.arrays import Array
@@ -231,7 +231,7 @@ def _of_coupling(scene: Scene, key: str) -> Iterator[str]:
 
 def _of_coupled_noise(scene: Scene, key: str) -> Iterator[str]:
     """Find an inertia that makes motions which the image hardly constrains, and which noise drives, visible."""
-    if not _OF_MOTION.isdisjoint(chosen_keys(scene.scenario)):
+    if not has_products(scene.machine) or not _OF_MOTION.isdisjoint(chosen_keys(scene.scenario)):
         return
     coupled, alone = noise_at_rest(scene)
     if _DEVIATIONS * coupled > scene.band and coupled > _COUPLED[1] * alone:
@@ -333,9 +333,9 @@ def _less_left(scene: Scene, key: str) -> str:
             break
     else:
         return ""
-    if any(True for _ in _of_way(less)):
+    if any(_of_way(less)):
         return ""
-    if any(True for find in (_of_coupling, _of_coupled_noise) for _ in find(less, key)):
+    if any(_of_coupling(less, key)) or any(_of_coupled_noise(less, key)):
         return (
             f"; {_decoupling_laws()} with {number(factor, 1)} times this prior leaves {number(100 * share, 1)} %, with "
             "which this law amplifies noise or oscillates, since the inertia couples the axes"

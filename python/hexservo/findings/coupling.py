@@ -14,12 +14,13 @@ from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.prior import left_by_inverse, weight_of_inverse
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.block import SAMPLED_MODE
-from hexservo.scenario.fitted import UPTAKE, auto_of
+from hexservo.scenario.fitted import UPTAKE, Machine, auto_of
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.pixels import feature_noise
 from hexservo.scenario.scenario import Scenario
 
 SHARE = 0.05  # of the largest image error at the start
+_ROUNDING = 1e-12  # of a product, over the root of its two axes' inertias
 _STEPS = 200  # in a period of the bandwidth
 _PERIODS = 3.0  # in which an error has to settle, with a damping of 1
 
@@ -37,6 +38,12 @@ class Noise(NamedTuple):
 
     coupled: float  # with the products of the inertia
     alone: float  # without them
+
+
+def has_products(machine: Machine) -> bool:
+    """Return whether the inertia couples the axes, by more than rounding."""
+    root = np.sqrt(machine.inertia)
+    return bool(np.abs(machine.mass / (root * root[:, None]) - np.eye(6)).max() > _ROUNDING)
 
 
 def settling(scene: Scene) -> Settling:
@@ -59,7 +66,7 @@ def settling(scene: Scene) -> Settling:
     law, damping, machine = scenario.controller.law, auto_of(scenario).damping, scene.machine
     parts = _core.LAW_TRAITS[law].parts
     diagonal = np.diag(machine.inertia)
-    if "damping" not in parts or "coriolis_feedforward" in parts or np.array_equal(machine.mass, diagonal):
+    if "damping" not in parts or "coriolis_feedforward" in parts or not has_products(machine):
         return Settling(1.0, math.nan)
     if not np.isfinite(machine.displacement).all():
         return Settling(math.nan, math.nan)
