@@ -20,8 +20,16 @@ ControllerOutput output_of(const ServoTick<double, Law>& tick, const ServoState<
   ControllerOutput out{tick.command.wrench,    tick.command.leg_forces,
                        tick.law.fuzzy_output,  status_of(state.perception.now(), tick.command.acts),
                        tick.command.saturated, state.motion.legs};
-  if constexpr (kTracks<Law>)
+  if constexpr (kTracks<Law>) {
     if (!state.tracking.stamped) out.latency = state.tracking.latency_range;
+    const Perceived<double, N>& seen = state.perception.now();
+    if (out.status == InputStatus::unusable && seen.joints && seen.usable) {  // frames came, but none was taken
+      if (!state.tracking.target.known)
+        out.status = InputStatus::missing_image;
+      else if (!state.tracking.recent)
+        out.status = InputStatus::stale_image;
+    }
+  }
   return out;
 }
 

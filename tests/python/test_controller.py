@@ -495,6 +495,23 @@ def test_before_the_first_frame_the_image_is_missing(prediction: str) -> None:
     assert hs.Controller(scenario).step(**joints, now=1.0).status == "missing_image"
 
 
+def test_a_clock_that_is_not_in_seconds_is_unusable(paper: hs.Scenario) -> None:
+    """More than 100 periods from tick to tick, and not for once: a pause is no other unit."""
+    controller, period = hs.Controller(paper), paper.simulation.step
+    sensed: dict[str, Any] = {
+        "features": paper.target.desired_features,
+        "depth": np.full(4, -0.5),
+        "position": [0.0, 0.0, -0.15],
+        "quaternion": [1.0, 0.0, 0.0, 0.0],
+        "twist": np.zeros(6),
+    }
+    now, statuses = 0.0, []
+    for passed in (*[1.0, 1000.0] * 15, *[1000.0] * 15, 1.0):
+        now += passed * period
+        statuses.append(controller.step(**sensed, now=now).status)
+    assert statuses == [*["valid"] * 39, *["unusable"] * 6, "valid"]
+
+
 @pytest.mark.parametrize(
     ("key", "wrong", "acts"),
     [

@@ -211,8 +211,13 @@ def test_the_head_reaches_its_goal(tmp_path: Path, capsys: pytest.CaptureFixture
 
 @pytest.mark.parametrize("known", [True, False], ids=["stamped", "unknown latency"])
 def test_the_head_tracks(clock: SimulatedClock, head: SimulatedMachine, known: bool) -> None:
-    """The law `tracking`, also where it has to find the latency itself."""
-    law = {"controller.law": "tracking", "camera.prediction": "none", "camera.latency_known": known}
+    """The law `tracking`, also where it has to find the latency itself; with the noise that `check` names for it."""
+    law = {
+        "controller.law": "tracking",
+        "controller.tracking.noise": 1.2,
+        "camera.prediction": "none",
+        "camera.latency_known": known,
+    }
     with head_server(head) as server:
         ending = track(server.port, clock, seconds=3.0, scenario=head_scenario().updated(law))
         assert not ending.reason

@@ -17,7 +17,7 @@ import hexservo as hs
 from hexservo import _core
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check import unlikely
-from hexservo.findings.check_tracking import speed_that_counts
+from hexservo.findings.check_tracking import steady_filter
 from hexservo.run import variant
 from hexservo.scenario.parameters import core_parameters
 from recorded_ticks import step, ticks_of
@@ -278,7 +278,8 @@ def test_check_names_the_speed_below_which_a_target_counts_as_resting() -> None:
     for _ in range(2000):
         covariance = step_on @ covariance @ step_on.T + pushed
         covariance -= np.outer(covariance[:, 0], covariance[0]) / (covariance[0, 0] + deviation**2)
-    counts = speed_that_counts(scene_of(still_head), gains)
+    filtered = steady_filter(scene_of(still_head), gains)
+    counts = gains.certainty * np.sqrt(3.0) / filtered.in_deviations(np.eye(3)[1:2], filtered.velocity)[0]
     assert counts == pytest.approx(2.5 * np.sqrt(3.0 * covariance[1, 1]), rel=0.05)  # the depth is that of the mean
 
     behind = []
@@ -707,3 +708,52 @@ def test_other_machines_are_refused(paper: hs.Scenario) -> None:
         paper.updated({"controller.law": "tracking"})
     with pytest.raises(ValueError, match=r"actuators\.kind: expected position with the law tracking"):
         paper.updated({"controller.law": "tracking", "simulation.mode": "sampled"})
+
+
+def test_frames_that_are_not_used_are_no_image() -> None:
+    """Frames from before the poses that are kept, and frames of which each lacks a point: the timeout counts on."""
+    timeout = 0.4
+    scenario = hs.load_scenario("pi-h824-positions", {"camera.timeout": timeout})
+    machine = _core.Hexapod(core_parameters(scenario).robot)
+    seen, home, step = np.asarray(hs.project(scenario, [0.0] * 6)), np.array(machine.home_lengths), 0.02
+    controller, tick = hs.Controller(scenario), 0
+
+    def statuses(late: float, seconds: float, lost: bool = False) -> list[str]:
+        nonlocal tick
+        found: list[str] = []
+        for _ in range(round(seconds / step)):
+            features = seen.copy()
+            if lost:
+                features[2 * (tick % 2) : 2 * (tick % 2) + 2] = np.nan
+            now = step * tick
+            out = controller.step(features, np.full(4, -0.56), leg_lengths=home, exposure=now - late, now=now)
+            found.append(out.status)
+            tick += 1
+        return found
+
+    latency = scenario.camera.latency
+    assert set(statuses(latency + 0.2, 1.0)) == {"missing_image"}
+    assert set(statuses(latency, 1.0)) == {"valid"}
+    after = round((timeout - latency) / step)
+    for late, lost in ((latency + 0.2, False), (latency, True)):
+        found = statuses(late, 1.0, lost)
+        assert set(found[:after]) == {"valid"}
+        assert set(found[after:]) == {"stale_image"}
+        assert set(statuses(latency, 0.5)) == {"valid"}
+
+
+def test_commands_begin_where_legs_are_that_start_beyond_their_stroke() -> None:
+    scenario = hs.load_scenario("pi-h824-positions")
+    machine, response = _core.Hexapod(core_parameters(scenario).robot), scenario.actuators.position
+    assert response.speed_limit is not None
+    fast = response.speed_limit * (0.02 + response.damping / (np.pi * response.bandwidth))  # with the lead
+    legs = machine.mid_lengths + scenario.robot.stroke + 0.003
+    controller, before, fastest = hs.Controller(scenario), legs, 0.0
+    for tick in range(20):
+        out = controller.step(leg_lengths=legs, now=0.02 * tick)
+        assert out.status == "missing_image"
+        fastest = max(fastest, float(np.abs(out.leg_positions - before).max()))
+        before = out.leg_positions
+    print(f"largest step of the command {1e3 * fastest:.2f} mm of 3 mm, {1e3 * fast:.2f} mm at the speed limit")
+    assert fastest <= fast < 0.003
+    assert (out.leg_positions <= machine.mid_lengths + scenario.robot.stroke).all()

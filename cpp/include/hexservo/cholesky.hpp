@@ -78,6 +78,15 @@ class Cholesky {
     return b;
   }
 
+  /// Column k of the lower triangle whose product with its own transpose A is.
+  Vector<S, N> column(int k) const {
+    using std::sqrt;
+    Vector<S, N> out = Vector<S, N>::Zero();
+    out(k) = S(1.0) / sqrt(inverse_D_(k));
+    for (int i = k + 1; i < N; ++i) out(i) = out(k) * L_(i, k);
+    return out;
+  }
+
  private:
   Eigen::Matrix<S, N, N> L_;
   Vector<S, N> inverse_D_;

@@ -60,6 +60,10 @@ inline constexpr double kLongestTick = 1e9;
 /// Ticks on which a clock may stand still; one that does so for longer has stopped.
 inline constexpr std::size_t kStandingTicks = 10;
 
+/// Periods from one tick to the next that are too many for a clock in seconds, where it is so for more than
+/// `kStandingTicks` ticks one after the other.
+inline constexpr double kHurriedPeriods = 100.0;
+
 inline constexpr int kEncoderRounds = 12;  ///< most Newton rounds of a reading: any motion without a singular pose
 
 /// Newton rounds of a reading, 4 to `kEncoderRounds`: three, and one for every millisecond between two readings.
@@ -327,6 +331,7 @@ class Perception {
     f(now_.unsensed);
     f.time(clock_);
     f(standing_);
+    f(hurried_);
     f(clock_failed_);
     f.finite(joint_time_);
     history_.for_each_member(f);
@@ -353,9 +358,12 @@ class Perception {
     const bool advances = std::isfinite(now) && now > clock_, stands = now == clock_ && !first;
     const double missed = clock_failed_ ? 1.0 : static_cast<double>(standing_) + 1.0;  // ticks that it did not count
     standing_ = stands ? std::min(standing_ + 1, kStandingTicks + 1) : 0;
+    const bool hurries = !first && advances && now - clock_ > kHurriedPeriods;
+    hurried_ = hurries ? std::min(hurried_ + 1, kStandingTicks + 1) : 0;
     const bool counts = sensing.pose_source == PoseSource::encoders || lifts_points(sensing.frames) ||
                         any(sensing.frames.timeout < S(kInfinity));
-    const bool usable = advances || (stands && (!counts || standing_ <= kStandingTicks));
+    const bool usable =
+        (advances && hurried_ <= kStandingTicks) || (stands && (!counts || standing_ <= kStandingTicks));
     joint_time_ += !usable || clock_failed_ ? missed : first ? 0.0 : std::min(now - clock_, kLongestTick);
     clock_failed_ = !usable;
     if (advances) clock_ = now;
@@ -532,6 +540,7 @@ class Perception {
   bool reads_legs_;            ///< pose and twist are made of them, from those of the tick before
   double clock_ = -kInfinity;  ///< newest time [ticks]
   std::size_t standing_ = 0;   ///< ticks for which it has stood still
+  std::size_t hurried_ = 0;    ///< ticks for which it has gone on by more than `kHurriedPeriods`
   bool clock_failed_ = false;  ///< at the tick before
   double joint_time_ = 0.0;    ///< since the first tick, without what a clock fails [ticks]
   PoseHistory<S> history_;

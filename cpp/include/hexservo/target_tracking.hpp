@@ -2,17 +2,9 @@
 /// The law `tracking`: from frames and the pose of each one's exposure to where the legs shall go (docs/model.md,
 /// section 5).
 ///
-/// What is followed is estimated in B: of `Follow::pose` the pose g of the platform from which the target looks as
-/// desired, g = chi(t_e) o chi-hat^-1 o chi_goal, with the pose chi(t_e) that the joints had at the exposure and the
-/// pose chi-hat that the image gives against the assumed points of the target; of `Follow::direction` the place of the
-/// middle of the features. A Kalman filter with a constant velocity and the variance sigma_a^2 of the acceleration
-/// between two frames smooths it, axis by axis; nothing is smoothed in the image, which the camera's own motion moves.
-///
-///     x' = x + dt v,  P' = A P A^T + sigma_a^2 [dt^4/4, dt^3/2; dt^3/2, dt^2],  K = (p_xx, p_xv)/(p_xx + R)
-///
-/// R is the variance of the features at the goal, and what the pose of the exposure may be off where the latency is not
-/// known. A velocity counts as far as it exceeds its own standard deviation; where none does, the target rests, and the
-/// mean of all frames since stands for it. What lies beyond `jump` standard deviations restarts it.
+/// What is followed is estimated in B, by a filter that estimates its velocity too (target_filter.hpp). Its velocity
+/// counts as far as it exceeds its own standard deviation; where it does not, the straight line through the frames
+/// since is followed. What lies beyond `jump` standard deviations restarts the filter.
 ///
 /// The reference moves to the target as predicted for now and the delay of the legs, with a critically damped double
 /// pole at exp(-2 pi bandwidth T_c), within the limits of the legs. The command leads it by the legs' own response
@@ -25,17 +17,12 @@
 /// one pole of the response is much slower than the other), and by o where they come to rest elsewhere.
 #pragma once
 
-#include "hexservo/latency_estimator.hpp"
-#include "hexservo/laws/tracking.hpp"
-#include "hexservo/loop_parameters.hpp"
 #include "hexservo/motion_command.hpp"
+#include "hexservo/target_filter.hpp"
 
 namespace hexservo {
 
-inline constexpr double kLongestPrediction = 1.0;  ///< of a target that is not seen any more [s]
-inline constexpr double kRestingFrames = 200.0;    ///< frames in the mean of a target at rest
-inline constexpr double kOffTheMean = 4.0;         ///< standard deviations at which that mean starts again [1]
-inline constexpr int kPointingRounds = 6;          ///< of the camera's place in a direction
+inline constexpr int kPointingRounds = 6;  ///< of the camera's place in a direction
 /// Share of the legs' acceleration limit that the reference brakes with: a command that is held asks more of them [1].
 inline constexpr double kBraking = 0.6;
 inline constexpr double kSettled = 4.0;  ///< lags after which the legs are at rest [1]
@@ -55,39 +42,15 @@ struct TrackingPlan {
   S lead{0.0}, lead_change{0.0};                         ///< of the command [s], [s^2]
   S reach = S(std::numeric_limits<double>::infinity());  ///< of a command from the measured legs, with feedback
   S ease{1.0};                                           ///< share of its way that the feedback moves in a tick [1]
-  S settling{0.0};                           ///< time after which the legs are where they were commanded [s]
-  double jitter = 0.0;                       ///< most that a latency no frame carries is longer for a frame [s]
-  double delay = 0.0;                        ///< of the legs [ticks]
-  Vector6<S> variance = Vector6<S>::Zero();  ///< R of a pose [m^2; rad^2]; of a direction, of depth 1 m
+  S settling{0.0};      ///< time after which the legs are where they were commanded [s]
+  double jitter = 0.0;  ///< most that a latency no frame carries is longer for a frame [s]
+  double delay = 0.0;   ///< of the legs [ticks]
+  S timeout = S(std::numeric_limits<double>::infinity());  ///< age of the newest frame that was taken [ticks]
+  S variance{0.0};                                         ///< R of a direction, over the depth squared [rad^2]
   Pose<S> home;
   Vector3<S> home_centre = Vector3<S>::Zero();  ///< of the camera at home, in B [m]
   Vector3<S> home_ray = Vector3<S>::Zero();     ///< to the desired middle, likewise [1]
   long long poses = 0;                          ///< that are kept [ticks]
-};
-
-/// The target as it is followed, and what is known of it.
-template <class S>
-struct TrackedTarget {
-  Mask<S> known = Mask<S>(false);                           ///< it has been seen
-  S seen_at = S(-std::numeric_limits<double>::infinity());  ///< stamp of the newest frame that was taken [ticks]
-  Pose<S> place;                                            ///< then, in B: x
-  Vector6<S> twist = Vector6<S>::Zero();                    ///< v [m/s; rad/s]
-  Vector6<S> xx = Vector6<S>::Zero(), xv = Vector6<S>::Zero(), vv = Vector6<S>::Zero();  ///< P, axis by axis
-  Vector6<S> moving = Vector6<S>::Zero();                                                ///< share of v that counts [1]
-  Pose<S> mean;                                                                          ///< of a target at rest
-  Vector6<S> weight = Vector6<S>::Zero();  ///< of that mean, one over its variance
-  Pose<S> view;                            ///< chi-hat of the newest frame
-
-  template <class F>
-  void for_each_member(F&& f) {
-    f(known);
-    f.time(seen_at);
-    for (Pose<S>* pose : {&place, &mean, &view}) {
-      f.finite(pose->position);
-      f.finite(pose->quaternion);
-    }
-    for (Vector6<S>* six : {&twist, &xx, &xv, &vv, &moving, &weight}) f.finite(*six);
-  }
 };
 
 /// What tracking keeps from tick to tick.
@@ -96,7 +59,7 @@ struct TrackingState {
   template <int N>
   TrackingState(const TrackingPlan<S, N>& plan, std::pmr::memory_resource* memory)
       : stamped(plan.stamped), poses(plan.poses, memory) {
-    target.place = target.mean = target.view = plan.home;
+    target.place = target.mean = target.followed = target.view = plan.home;
     if (stamped) latency_range = {};
   }
 
@@ -110,6 +73,7 @@ struct TrackingState {
   Vector6<S> reading = unknown_six<S>();   ///< legs of the newest reading
   S still{0.0};                            ///< time since the reference came to rest [s]
   Mask<S> integrating = Mask<S>(false);
+  Mask<S> recent = Mask<S>(false);  ///< at this tick: the newest frame that was taken is not older than the timeout
 
   /// Calls `f` with each member, always in the same order.
   template <class F>
@@ -146,27 +110,6 @@ using TrackingPlanOf = std::conditional_t<kTracks<Law>, TrackingPlan<S, N>, NoTr
 template <class S, class Law>
 using TrackingStateOf = std::conditional_t<kTracks<Law>, TrackingState<S>, NoTracking<S>>;
 
-/// a (x) b.
-template <class S>
-Vector4<S> quaternion_product(const Vector4<S>& a, const Vector4<S>& b) {
-  const Vector3<S> u = a.template tail<3>(), v = b.template tail<3>();
-  Vector4<S> out;
-  out(0) = a(0) * b(0) - dot<S>(u, v);
-  out.template tail<3>() = a(0) * v + b(0) * u + cross<S>(u, v);
-  return out;
-}
-
-/// chi o chi-hat^-1 o goal: where the platform sees the target as from `goal` if it sees it as from `view` at `at`.
-template <class S>
-Pose<S> pose_to_follow(const Pose<S>& at, const Pose<S>& view, const Pose<S>& goal) {
-  Vector4<S> back = view.quaternion;
-  back.template tail<3>() = -back.template tail<3>();
-  const Vector4<S> turn = quaternion_product<S>(at.quaternion, back);
-  const Matrix3<S> R = rotation_matrix(turn);
-  return {at.position + rotate<S>(R, Vector3<S>(goal.position - view.position)),
-          quaternion_product<S>(turn, goal.quaternion)};
-}
-
 /// The home pose turned the shortest way so that the desired ray points at a place in B [m].
 template <class S, int N>
 Pose<S> pointing(const TrackingPlan<S, N>& plan, const Vector3<S>& place) {
@@ -202,6 +145,7 @@ TrackingPlan<S, N> tracking_plan(const LoopParameters<S, Tracking, N>& p, const 
   plan.lead_change = p.gains.lead / (w * w);
   plan.jitter = p.frames.stamped ? 0.0 : static_cast<double>(p.frames.jitter) * p.step;
   plan.delay = static_cast<double>(p.actuators.delay);
+  plan.timeout = p.frames.timeout;
   plan.settling = S(kSettled) * lag / (S(1.0) + p.gains.feedback) + S((plan.delay + 2.0) * p.step);
   const S slower = S(2.0) * sqrt(max(S(p.actuators.position.damping * p.actuators.position.damping - S(1.0)), S(0.0)));
   plan.ease =
@@ -219,20 +163,7 @@ TrackingPlan<S, N> tracking_plan(const LoopParameters<S, Tracking, N>& p, const 
   }
   const Vector3<S> ahead = lift<S>(task.camera, plan.home.position, R_BE, middle, S(-1.0)) - plan.home_centre;
   plan.home_ray = ahead * (S(1.0) / sqrt(ahead.squaredNorm()));
-  const S variance = p.gains.noise * p.gains.noise;
-  if (plan.follow == Follow::direction) {
-    plan.variance.setConstant(S(variance * squares / (task.camera.focal * task.camera.focal)));
-  } else {
-    const Matrix3<S> R_goal = rotation_matrix(task.target.goal.quaternion);
-    const ImageJacobian<S, N> J(task.camera, S(-1.0), task.desired_features, task.target.goal_inverse_depth,
-                                task.target.goal.position, R_goal);
-    const Cholesky<S, 6> solver(J.normal_matrix(task.weights));
-    for (int j = 0; j < 6; ++j) {
-      Vector6<S> unit = Vector6<S>::Zero();
-      unit(j) = S(1.0);
-      plan.variance(j) = variance * solver.solve(unit)(j);
-    }
-  }
+  plan.variance = p.gains.noise * p.gains.noise * squares / (task.camera.focal * task.camera.focal);
   const double latest = p.frames.stamped ? static_cast<double>(oldest_stamp(p.frames)) : kMaxLatency / p.step;
   plan.poses = 3 + static_cast<long long>(std::ceil(latest)) + p.frames.period;
   return plan;
@@ -254,9 +185,6 @@ void take_frame(const SafetyGains<S, N>& gains, const ControlTask<S, N>& task, c
     middle += task.weights.share(i) * seen.image.features.template segment<2>(2 * i);
     depth += task.weights.share(i) * seen.image.depth(i);
   }
-  const bool directs = plan.follow == Follow::direction;
-  Vector6<S> variance = plan.variance;
-  if (directs) variance *= depth * depth;
   if (!plan.stamped) {
     using std::sqrt;
     S squares(0.0);
@@ -265,103 +193,72 @@ void take_frame(const SafetyGains<S, N>& gains, const ControlTask<S, N>& task, c
                          S(plan.gains.noise * sqrt(squares) / task.camera.focal), plan.jitter);
     state.latency_range = state.latency.range();
   }
-  Mask<S> good = fresh;
-  if (!directs) {
+  const bool directs = plan.follow == Follow::direction;
+  const S period(gains.period), first(state.poses.oldest());
+  const LatencyRange<S>& latency = state.latency_range;
+  const auto pose_at = [&](const S& latency_of_frame) {
+    const S tick = stamp - latency_of_frame / period;
+    return unit_pose<S>(state.poses.at(plan.stamped ? tick : max(tick, first)));
+  };
+  const Pose<S> at = pose_at(S(latency.estimate + S(0.5 * plan.jitter)));
+
+  // A reading with what the pose of the exposure may be off: by the ends of the interval of the latency, or, where that
+  // is known, by what a straight line between two readings of the joints is off.
+  const auto with_exposure = [&](TargetReading<S> reading, const auto& followed_from) {
+    const auto add = [&](const Pose<S>& first_end, const Pose<S>& last_end) {
+      const Vector6<S> one = pose_difference<S>(followed_from(first_end), reading.place),
+                       other = pose_difference<S>(followed_from(last_end), reading.place);
+      // Alike along all axes of B: shifts and rotations each.
+      const S shift = max(S(one.template head<3>().squaredNorm()), S(other.template head<3>().squaredNorm())),
+              turn = max(S(one.template tail<3>().squaredNorm()), S(other.template tail<3>().squaredNorm()));
+      for (int j = 0; j < 6; ++j) reading.variance(j, j) += j < 3 ? shift : turn;
+    };
+    if (plan.stamped) {
+      const Pose<S> on_line = unit_pose<S>(state.poses.on_line(stamp));
+      add(on_line, on_line);
+      if (!directs) {  // a pose is seen better than joints are read in time: so much within a tick
+        const S least = max(S(stamp - S(1.0)), first), most = min(S(stamp + S(1.0)), S(input.now));
+        add(unit_pose<S>(state.poses.at(least)), unit_pose<S>(state.poses.at(most)));
+      }
+    } else {
+      add(pose_at(latency.least), pose_at(S(latency.most + S(plan.jitter))));
+    }
+    return reading;
+  };
+  const S dt = select(target.known, S((seen.newest - target.seen_at) * period), S(0.0));
+  if (directs) {
+    const auto followed_from = [&](const Pose<S>& pose) {
+      return Pose<S>{lift<S>(task.camera, pose.position, rotation_matrix(pose.quaternion), middle, depth),
+                     plan.home.quaternion};
+    };
+    TargetReading<S> reading;
+    reading.place = followed_from(at);
+    reading.of_the_image = S(plan.variance * depth * depth) * Matrix6<S>::Identity();
+    reading.variance = reading.of_the_image;
+    reading = with_exposure(reading, followed_from);
+    const auto read = [&](const Pose<S>& expected, const Matrix6<S>&) {
+      reading.off = pose_difference<S>(reading.place, expected);
+      return reading;
+    };
+    filter_target<S, N>(plan.gains, 3, dt, fresh, seen.newest, read, [&] { return reading; }, target);
+    return;
+  }
+  const auto read = [&](const Pose<S>& expected, const Matrix6<S>& doubt) {
+    const TargetReading<S> reading = read_pose<S, N>(task, seen.image.features, plan.gains.noise, at, expected, doubt);
+    const Pose<S> view = pose_to_follow<S>(task.target.goal, reading.place, at);
+    return with_exposure(reading, [&](const Pose<S>& pose) { return pose_to_follow<S>(pose, view, task.target.goal); });
+  };
+  const auto read_alone = [&] {
     const PoseEstimate<S> estimate =
         estimate_pose<S, N>(task.camera, task.target.points_T, seen.image.features,
                             select_pose<S>(target.known, target.view, seen.pose), Vector6<S>::Zero(), task.weights);
-    good = good & (!estimate.failed);
-    target.view = select_pose<S>(good, estimate.pose, target.view);
-  }
-  const S period(gains.period), first(state.poses.oldest());
-  const auto followed_from = [&](const Pose<S>& interpolated) {
-    const Pose<S> at = unit_pose<S>(interpolated);
-    if (!directs) return pose_to_follow<S>(at, target.view, task.target.goal);
-    return Pose<S>{lift<S>(task.camera, at.position, rotation_matrix(at.quaternion), middle, depth),
-                   plan.home.quaternion};
+    TargetReading<S> reading = read(pose_to_follow<S>(at, estimate.pose, task.target.goal), Matrix6<S>::Zero());
+    reading.failed = reading.failed | estimate.failed;
+    return reading;
   };
-  const auto followed = [&](const S& latency) {
-    const S tick = stamp - latency / period;
-    return followed_from(state.poses.at(plan.stamped ? tick : max(tick, first)));
-  };
-  const LatencyRange<S>& latency = state.latency_range;
-  const Pose<S> measured = followed(S(latency.estimate + S(0.5 * plan.jitter)));
-  if (plan.stamped) {  // its latency is 0, its exposure may be between two readings of the joints
-    const Vector6<S> bend = pose_difference<S>(followed_from(state.poses.on_line(stamp)), measured);
-    for (int j = 0; j < 6; ++j) variance(j) += bend(j) * bend(j);
-  } else {
-    const Vector6<S> late = pose_difference<S>(followed(latency.least), measured),
-                     soon = pose_difference<S>(followed(S(latency.most + S(plan.jitter))), measured);
-    for (int j = 0; j < 6; ++j) variance(j) += max(S(late(j) * late(j)), S(soon(j) * soon(j)));
-  }
-  good = good & is_finite(S(measured.position.sum())) & is_finite(S(measured.quaternion.sum()));
-
-  // Predicted, compared, corrected.
-  const S dt = select(target.known, S((seen.newest - target.seen_at) * period), S(0.0));
-  const Pose<S> expected = carried<S>(target.place, target.twist, dt);
-  const Vector6<S> innovation = pose_difference<S>(measured, expected);
-  Vector6<S> xx, xv, vv, correction, change, speed2;
-  Mask<S> begins = !target.known;
-  for (int j = 0; j < 6; ++j) {
-    const S a2 = plan.gains.acceleration(j) * plan.gains.acceleration(j);
-    vv(j) = target.vv(j) + a2 * dt * dt;
-    xv(j) = target.xv(j) + dt * target.vv(j) + S(0.5) * a2 * dt * dt * dt;
-    xx(j) = target.xx(j) + dt * (S(2.0) * target.xv(j) + dt * target.vv(j)) + S(0.25) * a2 * dt * dt * dt * dt;
-    const S all_of_it = xx(j) + variance(j);
-    begins = begins | (innovation(j) * innovation(j) > plan.gains.jump * plan.gains.jump * all_of_it);
-    const S gain = xx(j) / all_of_it, gain_v = xv(j) / all_of_it;
-    correction(j) = gain * innovation(j);
-    change(j) = gain_v * innovation(j);
-    vv(j) -= gain_v * xv(j);
-    xv(j) -= gain * xv(j);
-    xx(j) -= gain * xx(j);
-    speed2(j) = plan.gains.speed(j) * plan.gains.speed(j);
-  }
-  const Pose<S> corrected = carried<S>(expected, correction, S(1.0));
-  const Vector6<S> zero = Vector6<S>::Zero();
-  const Pose<S> place = select_pose<S>(begins, measured, corrected);
-  const Vector6<S> twist = select(begins, zero, Vector6<S>(target.twist + change));
-  xx = select(begins, variance, xx);
-  xv = select(begins, zero, xv);
-  vv = select(begins, speed2, vv);
-
-  // What of the velocity counts, and the mean of a target at rest.
-  Vector6<S> moving;
-  Mask<S> rests(true), restarts = begins;
-  for (int block = 0; block < 6; block += 3) {
-    S square(0.0), expectation(0.0);
-    for (int j = block; j < block + 3; ++j) {
-      square += twist(j) * twist(j);
-      expectation += vv(j);
-    }
-    const S doubt = plan.gains.certainty * plan.gains.certainty * expectation;
-    const S ratio = doubt / square;
-    const S share = select(square > doubt, S(S(1.0) - ratio * ratio), S(0.0));
-    for (int j = block; j < block + 3; ++j) moving(j) = share;
-    rests = rests & (!(share > S(0.0)));
-  }
-  const Vector6<S> off = pose_difference<S>(place, target.mean);
-  for (int j = 0; j < 6; ++j)
-    restarts = restarts | (off(j) * off(j) > S(kOffTheMean * kOffTheMean) * xx(j)) | (!(target.weight(j) > S(0.0)));
-  Vector6<S> weight, step;
-  const Vector6<S> aside = pose_difference<S>(measured, target.mean);
-  for (int j = 0; j < 6; ++j) {
-    const S one = S(1.0) / variance(j);
-    const S before = min(target.weight(j), S(S(kRestingFrames) * one));
-    weight(j) = select(restarts, S(S(1.0) / xx(j)), S(before + one));
-    step(j) = aside(j) * one / (before + one);
-  }
-  const Pose<S> mean = select_pose<S>(restarts, place, carried<S>(target.mean, step, S(1.0)));
-  target.mean = select_pose<S>(good, mean, target.mean);
-  target.weight = select(good, select(rests, weight, zero), target.weight);
-  target.place = select_pose<S>(good, place, target.place);
-  target.twist = select(good, twist, target.twist);
-  target.moving = select(good, moving, target.moving);
-  target.xx = select(good, xx, target.xx);
-  target.xv = select(good, xv, target.xv);
-  target.vv = select(good, vv, target.vv);
-  target.seen_at = select(good, seen.newest, target.seen_at);
-  target.known = target.known | good;
+  filter_target<S, N>(plan.gains, 6, dt, fresh, seen.newest, read, read_alone, target);
+  const Mask<S> taken = fresh & (target.seen_at == seen.newest);
+  target.view = select_pose<S>(taken, unit_pose<S>(pose_to_follow<S>(task.target.goal, target.place, at)), target.view);
 }
 
 /// Pose that the reference goes to, for now and the legs' delay, and its twist: at the end of the period the reference
@@ -372,9 +269,8 @@ void pose_ahead(const TrackingPlan<S, N>& plan, const TrackingState<S>& state, d
   const TrackedTarget<S>& target = state.target;
   const S age = (S(now + plan.delay) - target.seen_at) * period + state.latency_range.estimate + S(0.5 * plan.jitter);
   const S ahead = min(age, S(kLongestPrediction));
-  twist = target.twist.cwiseProduct(target.moving);
-  const Mask<S> rests = largest_abs(target.moving) == S(0.0);
-  pose = select_pose<S>(rests, target.mean, carried<S>(target.place, twist, select(target.known, ahead, S(0.0))));
+  twist = target.followed_twist;
+  pose = carried<S>(target.followed, twist, select(target.known, ahead, S(0.0)));
   twist *= select(age > S(kLongestPrediction), S(0.0), S(1.0));  // what is followed stands still from there on
   if (plan.follow == Follow::pose) {
     pose = unit_pose<S>(pose);
@@ -415,7 +311,9 @@ template <class S, int N>
 
   const Vector6<S> zero = Vector6<S>::Zero(), error = pose_difference<S>(goal, motion.pose);
   const Vector6<S> freely = motion.twist + plan.approach * error + plan.braking * Vector6<S>(goal_twist - motion.twist);
-  const Mask<S> may_act = seen.ready() & (!out.singular) & motion.begun & state.target.known & (!solver.failed());
+  state.recent = S(input.now) - state.target.seen_at <= plan.timeout + S(kTickTolerance);
+  const Mask<S> followed = state.target.known & state.recent;
+  const Mask<S> may_act = seen.ready() & (!out.singular) & motion.begun & followed & (!solver.failed());
   const Mask<S> finite = is_finite(S(freely.sum()));
   out.law_failed = may_act & (!finite);
   out.acts = may_act & finite;
@@ -444,9 +342,9 @@ template <class S, int N>
 
   // The offset of legs that come to rest elsewhere.
   const Vector6<S> aside = pose_difference<S>(motion.pose, seen.pose);
-  Mask<S> near = out.acts & (largest_abs(state.target.moving) == S(0.0)), off(false), far(false);
+  Mask<S> near = out.acts, off(false), far(false);
   for (int j = 0; j < 6; ++j) {
-    near = near & (abs(error(j)) <= plan.gains.band(j));
+    near = near & (abs(error(j)) <= plan.gains.band(j)) & (plan.settling * abs(goal_twist(j)) <= plan.gains.band(j));
     off = off | (abs(aside(j)) > plan.gains.band(j));
     far = far | (abs(aside(j)) > S(2.0) * plan.gains.band(j));
   }
@@ -474,8 +372,9 @@ template <class S, int N>
     const S acted_on = seen_lengths(i) + S(plan.delay + 0.5) * select(is_finite(change), change, S(0.0));
     const S near_legs = select(corrected, clip(wanted, S(acted_on - plan.reach), S(acted_on + plan.reach)), wanted);
     state.reading(i) = select(sensed, seen_lengths(i), state.reading(i));
-    const S middle = gains.hexapod.mid_lengths(i);
-    command(i) = clip(near_legs, S(middle - gains.hexapod.stroke), S(middle + gains.hexapod.stroke));
+    const S low = gains.hexapod.mid_lengths(i) - gains.hexapod.stroke;
+    const S high = gains.hexapod.mid_lengths(i) + gains.hexapod.stroke;
+    command(i) = clip(near_legs, min(low, motion.legs(i)), max(high, motion.legs(i)));
   }
   out.wrench = wrench_of_motion(gains.body, R_BE, motion.twist, Vector6<S>((twist - motion.twist) * (S(1.0) / period)));
   out.leg_forces = solver.leg_forces(out.wrench);

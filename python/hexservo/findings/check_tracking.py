@@ -1,67 +1,147 @@
-"""Targets that the law `tracking` takes for resting although they move, or for slower than they are."""
+"""What the law `tracking` takes for motion of its target that is none, and which motion it follows behind."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
-from hexservo.findings.analysis.conditioning import sight
 from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.check_gate import moved_between_frames
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.laws import Tracking
 from hexservo.scenario.parameters import frame_period
+from hexservo.scenario.pixels import feature_noise
 from hexservo.scenario.wording import number, quantity
 
+_TIMES = 1.5  # the noise that the filter assumes, above which what it sees looks like motion
 _WHOLE = 2.0  # times the speed from which a velocity counts: 1 - 1/2^4 of it does
 
 
 def of_tracking(scene: Scene) -> Iterator[str]:
-    """Yield a sentence for a target whose velocity never counts, or never whole: the law follows behind it."""
-    scenario = scene.scenario
-    gains = scenario.controller.gains
-    if not isinstance(gains, Tracking) or scenario.target.motion.kind == "none":
-        return
-    period = frame_period(scenario)
-    moved = moved_between_frames(scenario.target.motion, period)
-    fastest = float(np.linalg.norm(moved, axis=1).max(initial=0.0)) / period
-    counts = speed_that_counts(scene, gains)
-    if 0.0 < fastest < _WHOLE * counts:
+    """Yield a sentence for noise beyond what the filter assumes, and for a target that is followed behind."""
+    gains = scene.scenario.controller.gains
+    if isinstance(gains, Tracking):
+        yield from _of_noise(scene, gains)
+        yield from _of_motion(scene, gains)
+
+
+def _of_noise(scene: Scene, gains: Tracking) -> Iterator[str]:
+    """Find noise that looks like motion; of the camera alone it is `check_gains` that names it."""
+    true = scene.image_noise
+    if true > _TIMES * gains.noise and true > 2.0 * feature_noise(scene.scenario.camera):
         yield (
-            f"controller.tracking.certainty: target.motion moves the target at up to {quantity(fastest, 'm/s')}, and "
-            f"the law takes it for moving from about {quantity(counts, 'm/s')} on, where its velocity is certainty "
-            f"({number(gains.certainty)}) times what noise of {number(gains.noise)} px leaves in it: until then the "
-            "mean of earlier frames is followed, behind the target, and up to twice that speed a part of its velocity "
-            "is missing; set controller.tracking.noise to that of the features, or certainty to 0, with which every "
-            "velocity counts"
+            f"controller.tracking.noise: {number(gains.noise)} px is less than the {number(true, 2)} px that the "
+            "readings of the joints (sensors.resolution, sensors.noise) and the camera leave in the image, so that the "
+            f"filter takes these for motion of the target; set it to {number(true, 2)}"
         )
 
 
-def speed_that_counts(scene: Scene, gains: Tracking) -> float:
-    """Return the speed from which the filter's velocity of a target counts, after many frames [m/s].
+def _of_motion(scene: Scene, gains: Tracking) -> Iterator[str]:
+    """Find a target whose velocity does not count, or not whole, so that the law follows behind it."""
+    scenario = scene.scenario
+    motion = scenario.target.motion
+    of_pose = gains.follow == "pose"
+    if motion.kind == "none" or (of_pose and motion.kind == "velocity"):  # a steady velocity is on one line
+        return
+    period = frame_period(scenario)
+    velocities = moved_between_frames(motion, period) / period
+    speeds = np.linalg.norm(velocities, axis=1)
+    moving = velocities[speeds > 0.0]
+    if not len(moving):
+        return
+    filtered = steady_filter(scene, gains)
+    times = filtered.in_deviations(moving, filtered.velocity) / (gains.certainty * math.sqrt(filtered.axes) or 1e-300)
+    best = int(np.argmax(times))
+    if times[best] >= (1.0 if of_pose else _WHOLE):
+        return
+    if of_pose:
+        pixels = _behind(scene, gains, filtered, moving[best], float(speeds.max()))
+        if pixels <= scene.band:
+            return
+        until = f"the target is followed in pieces of straight lines, up to about {number(pixels, 2)} px behind"
+    else:
+        until = (
+            "the mean of earlier frames is followed, behind the target, and up to twice that speed a part of its "
+            "velocity is missing"
+        )
+    counts = float(np.linalg.norm(moving[best])) / float(times[best])
+    yield (
+        f"controller.tracking.certainty: target.motion moves the target at up to {quantity(speeds.max(), 'm/s')}, "
+        f"and the velocity of the law's filter counts from about {quantity(counts, 'm/s')} on, where it is "
+        f"certainty ({number(gains.certainty)}) times what noise of {number(gains.noise)} px leaves in it: until then "
+        f"{until}; set controller.tracking.noise to that of the features, or certainty to 0, with which every velocity "
+        "counts"
+    )
 
-    The deviation of the velocity is that of the alpha-beta filter, (beta/T^2) (alpha - beta/2)/(1 - alpha) of the
-    variance of a place, of each axis (docs/model.md, section 5; Kalata 1984).
+
+def _behind(scene: Scene, gains: Tracking, filtered: SteadyFilter, velocity: Array, speed: float) -> float:
+    """Return how far behind a slow target is followed at most, in pieces of straight lines [px].
+
+    By what the filter may be off its line, and by the lag of the reference, which starts again with every piece.
     """
+    ahead = velocity / np.linalg.norm(velocity)
+    off_line = filtered.off_line / float(filtered.in_deviations(ahead[None], filtered.place)[0])
+    lag = speed / (math.pi * gains.bandwidth)
+    return (off_line + lag) * float(np.abs(scene.view(scene.start).jacobian[:, :3] @ ahead).max())
+
+
+@dataclass(frozen=True, eq=False)
+class SteadyFilter:
+    """The law's filter after many frames, along its modes: those of R, of a frame, over the acceleration's variance.
+
+    Along each it is an alpha-beta filter of unit acceleration, with the variance alpha of a place and (beta/T^2)
+    (alpha - beta/2)/(1 - alpha) of a velocity, over that of a reading (docs/model.md, section 5; Kalata 1984).
+    """
+
+    along: Array  # (n, n), a displacement in B [m; rad] along the modes
+    place: Array  # (n,) deviations along the modes
+    velocity: Array  # (n,) likewise, per s
+
+    @property
+    def axes(self) -> int:
+        """Return the numbers of what is followed: 6 of a pose, 3 of a place."""
+        return len(self.place)
+
+    @property
+    def off_line(self) -> float:
+        """Return the standard deviations of its place at which the filter leaves the line: target_filter.hpp."""
+        return math.sqrt(5.0**2 + 2.5 * self.axes)
+
+    def in_deviations(self, vectors: Array, deviations: Array) -> Array:
+        """Return the lengths of translations (k, 3) in standard deviations (n,) along the modes, (k,)."""
+        return np.asarray(np.linalg.norm(vectors @ self.along[:, :3].T / deviations, axis=1))
+
+
+def steady_filter(scene: Scene, gains: Tracking) -> SteadyFilter:
+    """Return the law's filter before the goal, or of a direction at the start, after many frames."""
     period = frame_period(scene.scenario)
-    place = gains.noise * _deviation_per_pixel(scene, gains)
-    index = np.broadcast_to(np.asarray(gains.acceleration, dtype=float), 6)[:3] * period**2 / place
+    variance = gains.noise**2 * _variance_per_pixel(scene, gains)
+    acceleration = np.broadcast_to(np.asarray(gains.acceleration, dtype=float), 6)[: len(variance)]
+    of_modes, modes = np.linalg.eigh(variance / np.outer(acceleration, acceleration))
+    reading = np.sqrt(of_modes)
+    index = period**2 / reading
     left = (4.0 + index - np.sqrt(8.0 * index + index**2)) / 4.0
     alpha = 1.0 - left**2
     beta = 2.0 * (2.0 - alpha) - 4.0 * left
-    variance = beta * (alpha - beta / 2.0) / left**2 * (place / period) ** 2
-    return gains.certainty * math.sqrt(float(variance.sum()))
+    return SteadyFilter(
+        modes.T / acceleration,
+        np.sqrt(alpha) * reading,
+        np.sqrt(beta * (alpha - beta / 2.0)) / left * reading / period,
+    )
 
 
-def _deviation_per_pixel(scene: Scene, gains: Tracking) -> Array:
-    """Return the deviation of the place of the target from 1 px of noise, along x, y and z of B (3,) [m/px]."""
-    view = scene.view(scene.start)
+def _variance_per_pixel(scene: Scene, gains: Tracking) -> Array:
+    """Return the variance of what is followed, by 1 px of noise: of a pose (6, 6) or a place (3, 3) in B."""
     if gains.follow == "pose":
         goals = find_goals(scene)
-        return sight("goal", view if goals is None else goals.best.view, view.mean_depth, scene).pose_sigma[:3]
+        view = scene.view(scene.start) if goals is None else goals.best.view
+        jacobian = scene.of_noise(view.features, view.jacobian)
+        return np.asarray(np.linalg.inv(jacobian.T @ jacobian))
+    view = scene.view(scene.start)
     weights = np.broadcast_to(np.asarray(scene.scenario.target.weights, dtype=float), len(view.features) // 2)
     share = float(np.linalg.norm(weights) / weights.sum())
-    return np.full(3, share * view.mean_depth / scene.settings.camera.focal_pixels)
+    return np.asarray((share * view.mean_depth / scene.settings.camera.focal_pixels) ** 2 * np.eye(3))

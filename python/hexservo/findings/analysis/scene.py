@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copyreg
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -16,7 +17,7 @@ from hexservo.scenario.fitted import Machine, machine_of
 from hexservo.scenario.leg_units import leg_units, stroke_length
 from hexservo.scenario.motion import moves
 from hexservo.scenario.parameters import Settings, core_parameters
-from hexservo.scenario.pixels import desired_features, has_pixels, pixel_slopes, to_features, to_pixels
+from hexservo.scenario.pixels import desired_features, feature_noise, has_pixels, pixel_slopes, to_features, to_pixels
 from hexservo.scenario.scenario import Scenario
 
 # Half widths of the region about home that is searched beside the workspace [mean depth; rad].
@@ -251,6 +252,16 @@ class Scene:
             slopes = pixel_slopes(self.scenario, features)
             jacobian = np.nan_to_num((slopes @ jacobian.reshape(-1, 2, 6)).reshape(jacobian.shape), nan=0.0)
         return np.asarray(self.root_weights * jacobian)
+
+    @property
+    def image_noise(self) -> float:
+        """Return the deviation of a coordinate at the start, of the camera and of what encoders read [px]."""
+        sensors, of_camera = self.scenario.sensors, feature_noise(self.scenario.camera)
+        of_joint = math.hypot(sensors.noise, sensors.resolution / math.sqrt(12.0))
+        if sensors.pose != "encoders" or of_joint == 0.0:
+            return of_camera
+        by_joint = self.view(self.start).jacobian @ np.linalg.inv(self.wrench_maps(self.start).T) * of_joint
+        return math.hypot(of_camera, float(np.linalg.norm(by_joint)) / math.sqrt(len(by_joint)))
 
     def limits_left(self, poses: Poses) -> Array:
         """Return which share of its limits the leg nearest to one has left, (...); negative beyond it."""

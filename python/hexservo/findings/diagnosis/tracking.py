@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.diagnosis.environment import BASE_MOTIONS, differs, ideal
 from hexservo.findings.diagnosis.gains import default_gains
 from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal, removal_by
 from hexservo.findings.leg_feedback import OF_MARGIN, feedback_margin, integral_margin
 from hexservo.scenario.keys import keys_below, value_at
 from hexservo.scenario.laws import Tracking
-from hexservo.scenario.pixels import feature_noise
 
 _LAW = "tracking"
 _BLOCK = f"controller.{_LAW}"
@@ -54,7 +54,7 @@ def _matched(case: Case) -> Mapping[str, Any]:
     """Return what suits the target's distance and the machine's size, with the noise that the features have."""
     defaults = default_gains(case.scenario)
     usual = {key: defaults[key] for key in (f"{_BLOCK}.{name}" for name in _FILTER)}
-    return {**usual, f"{_BLOCK}.noise": max(feature_noise(case.scenario.camera), _LEAST_NOISE)}
+    return {**usual, f"{_BLOCK}.noise": max(scene_of(case.scenario).image_noise, _LEAST_NOISE)}
 
 
 def _at_once(case: Case) -> Mapping[str, Any]:
