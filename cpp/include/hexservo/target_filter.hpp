@@ -32,6 +32,7 @@ inline constexpr double kMisfit =
 inline constexpr double kLineFrames = 200.0;  ///< frames that the straight line through the readings remembers
 inline constexpr double kObservable = 0.02;   ///< c of the observable part [1]
 inline constexpr double kOffTheLine = 5.0;    ///< standard deviations of the filter at which that line starts again [1]
+inline constexpr double kOffTheMean = 4.0;    ///< and at which the mean of a direction does [1]
 
 /// The target as it is followed, and what is known of it.
 template <class S>
@@ -282,7 +283,7 @@ void filter_target(const TrackingGains<S, N>& gains, int axes, const S& dt, cons
   const Pose<S> before = carried<S>(target.mean, target.slope, S(target.age + dt));
   const Vector6<S> off = pose_difference<S>(place, before), off_observable = observable * off;
   const auto is_off = [&](const Vector6<S>& part) {
-    return !(squared_deviations<S>(of_rest, part) <= all_within<S>(S(kOffTheLine), axes));
+    return !(squared_deviations<S>(of_rest, part) <= all_within<S>(S(axes < 6 ? kOffTheMean : kOffTheLine), axes));
   };
   const Mask<S> restarts = begins | !(target.frames > S(0.0)) | is_off(off_observable);
   const Mask<S> restarts_weak = begins | !(target.weak_frames > S(0.0)) | is_off(Vector6<S>(off - off_observable));
@@ -313,7 +314,8 @@ void filter_target(const TrackingGains<S, N>& gains, int axes, const S& dt, cons
   const S over_spread = select(inclined, S(S(1.0) / spread), S(0.0));
   const Vector6<S> trend_seen = observable * trend, twist_seen = observable * twist;
   const S steady = axes < 6 ? S(0.0) : share_of(S(over_spread * squared_deviations<S>(of_image, trend_seen)));
-  const S own = share_of(squared_deviations<S>(of_velocity, twist_seen));
+  const S of_direction = S(3.0) * twist.template head<3>().squaredNorm() / (vv(0, 0) + vv(1, 1) + vv(2, 2));
+  const S own = share_of(axes < 6 ? of_direction : squared_deviations<S>(of_velocity, twist_seen));
   const Vector6<S> slope = S(steady * over_spread) * trend_seen;
   const Pose<S> on_line = carried<S>(mean, slope, age_of_mean);
   const Mask<S> moves = own > S(0.0);

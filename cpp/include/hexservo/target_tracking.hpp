@@ -208,7 +208,13 @@ void take_frame(const SafetyGains<S, N>& gains, const ControlTask<S, N>& task, c
     const auto add = [&](const Pose<S>& first_end, const Pose<S>& last_end) {
       const Vector6<S> one = pose_difference<S>(followed_from(first_end), reading.place),
                        other = pose_difference<S>(followed_from(last_end), reading.place);
-      // Alike along all axes of B: shifts and rotations each.
+      if (directs) {
+        const Vector6<S> off = select(one.squaredNorm() > other.squaredNorm(), one, other);
+        for (int j = 0; j < 3; ++j)
+          for (int i = 0; i < 3; ++i) reading.variance(i, j) += off(i) * off(j);
+        return;
+      }
+      // Of a pose alike along all axes of B: shifts and rotations each.
       const S shift = max(S(one.template head<3>().squaredNorm()), S(other.template head<3>().squaredNorm())),
               turn = max(S(one.template tail<3>().squaredNorm()), S(other.template tail<3>().squaredNorm()));
       for (int j = 0; j < 6; ++j) reading.variance(j, j) += j < 3 ? shift : turn;

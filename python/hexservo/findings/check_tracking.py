@@ -108,7 +108,7 @@ class SteadyFilter:
 
     @property
     def off_line(self) -> float:
-        """Return the standard deviations of its place at which the filter leaves the line: target_filter.hpp."""
+        """Return the standard deviations of the place of a pose at which the filter leaves the line (`all_within`)."""
         return math.sqrt(5.0**2 + 2.5 * self.axes)
 
     def in_deviations(self, vectors: Array, deviations: Array) -> Array:
