@@ -23,7 +23,8 @@ ControllerOutput output_of(const ServoTick<double, Law>& tick, const ServoState<
   if constexpr (kTracks<Law>) {
     if (!state.tracking.stamped) out.latency = state.tracking.latency_range;
     const Perceived<double, N>& seen = state.perception.now();
-    if (out.status == InputStatus::unusable && seen.joints && seen.usable) {  // frames came, but none was taken
+    if (out.status == InputStatus::unusable && seen.joints && seen.usable &&
+        !tick.command.singular) {  // frames came, but none was taken
       if (!state.tracking.target.known)
         out.status = InputStatus::missing_image;
       else if (!state.tracking.recent)

@@ -351,8 +351,8 @@ class Perception {
   static constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
   /// The joints are read at every tick, whether or not the clock is usable: where it fails, and where it comes back, a
-  /// period has passed since the tick before. One that stands still fails where a rate, an age or a prediction depends
-  /// on it.
+  /// period has passed since the tick before. One that stands still, or is not in seconds, fails where a rate, an age
+  /// or a prediction depends on it.
   void follow_clock(const Sensing<S, N>& sensing, double now) noexcept {
     const bool first = clock_ == -kInfinity;
     const bool advances = std::isfinite(now) && now > clock_, stands = now == clock_ && !first;
@@ -362,8 +362,7 @@ class Perception {
     hurried_ = hurries ? std::min(hurried_ + 1, kStandingTicks + 1) : 0;
     const bool counts = sensing.pose_source == PoseSource::encoders || lifts_points(sensing.frames) ||
                         any(sensing.frames.timeout < S(kInfinity));
-    const bool usable =
-        (advances && hurried_ <= kStandingTicks) || (stands && (!counts || standing_ <= kStandingTicks));
+    const bool usable = (advances || stands) && (!counts || std::max(standing_, hurried_) <= kStandingTicks);
     joint_time_ += !usable || clock_failed_ ? missed : first ? 0.0 : std::min(now - clock_, kLongestTick);
     clock_failed_ = !usable;
     if (advances) clock_ = now;

@@ -10,8 +10,8 @@
 ///     x' = x + dt v,  P' = A P A^T + diag(sigma_a)^2 (x) [dt^4/4, dt^3/2; dt^3/2, dt^2],  K = (P_xx, P_vx)(P_xx +
 ///     R)^-1
 ///
-/// R is the variance of what the noise of the features leaves in g as this frame shows it, and what the pose of the
-/// exposure may be off where the latency is not known. All are 6 x 6: an image determines some displacements far better
+/// R is the variance of what the noise of the features leaves in g as this frame shows it, and of what the pose of the
+/// exposure may be off. All are 6 x 6: an image determines some displacements far better
 /// than others, and those are no axes of B. A frame is compared with the image that is expected, so that the worse ones
 /// do not leak into the better by second order.
 ///
@@ -51,7 +51,7 @@ struct TrackedTarget {
   Vector6<S> slope = Vector6<S>::Zero();  ///< twist of the line as far as it counts [m/s; rad/s]
   Pose<S> followed;                       ///< what is followed, at the stamp
   Vector6<S> followed_twist = Vector6<S>::Zero();  ///< [m/s; rad/s]
-  Pose<S> view;                                    ///< chi-hat of the newest frame
+  Pose<S> view;                                    ///< from which it was seen in the newest frame, as filtered
 
   template <class F>
   void for_each_member(F&& f) {
@@ -74,7 +74,7 @@ struct TargetReading {
   Matrix6<S> variance;                  ///< R [m^2, m rad, rad^2]
   Matrix6<S> of_the_image;              ///< what of R the noise of the features leaves
   Vector6<S> off = Vector6<S>::Zero();  ///< z from where it was expected [m; rad]
-  S misfit{0.0};                    ///< mean square of the residual where it was expected, over that of the noise [1]
+  S misfit{0.0};                    ///< what no step takes of the squared residual, over what noise leaves of it [1]
   Mask<S> failed = Mask<S>(false);  ///< no reading
 };
 
@@ -103,12 +103,12 @@ Pose<S> pose_to_follow(const Pose<S>& at, const Pose<S>& view, const Pose<S>& go
 /// A pose to follow from a frame that was expected to show `expected`: one step of Gauss and Newton from there.
 /// The image is no linear function of how far the target is off. What the second order leaves in the step, d of a
 /// deviation along each column of the triangle of `doubt`, has the mean of their sum, which is taken off, and the
-/// variance 2 d d^T of each.
+/// variance 2 d d^T of each (without that of their products).
 /// @param at pose of the platform at the exposure; @param noise of a feature coordinate [px]
-/// @param doubt variance of `expected`
+/// @param doubt variance of `expected`; none: not to second order
 template <class S, int N>
 TargetReading<S> read_pose(const ControlTask<S, N>& task, const Vector<S, 2 * N>& features, const S& noise,
-                           const Pose<S>& at, const Pose<S>& expected, const Matrix6<S>& doubt) noexcept {
+                           const Pose<S>& at, const Pose<S>& expected, const Matrix6<S>* doubt) noexcept {
   const Pose<S>& goal = task.target.goal;
   const Pose<S> view = pose_to_follow<S>(goal, expected, at);
   const Matrix3<S> R_view = rotation_matrix(view.quaternion);
@@ -130,8 +130,10 @@ TargetReading<S> read_pose(const ControlTask<S, N>& task, const Vector<S, 2 * N>
   };
   TargetReading<S> reading;
   const Vector<S, 2 * N> residual = features - image.features;
-  reading.off = as_followed(solver.solve(J.pull(task.weights.times(residual)).vector()));
-  reading.misfit = residual.dot(task.weights.times(residual)) / (noise * noise * S(2.0 * N));
+  const Vector6<S> pull = J.pull(task.weights.times(residual)).vector(), step = solver.solve(pull);
+  reading.off = as_followed(step);
+  reading.misfit =
+      (residual.dot(task.weights.times(residual)) - pull.dot(step)) * task.weights.per_freedom() / (noise * noise);
   Matrix6<S> half;
   for (int j = 0; j < 6; ++j) {
     Vector6<S> unit = Vector6<S>::Zero();
@@ -140,8 +142,8 @@ TargetReading<S> read_pose(const ControlTask<S, N>& task, const Vector<S, 2 * N>
   }
   for (int j = 0; j < 6; ++j) reading.of_the_image.col(j) = noise * noise * as_followed(half.col(j));
   reading.variance = reading.of_the_image;
-  const Cholesky<S, 6> deviations(doubt);
-  for (int k = 0; k < 6; ++k) {
+  const Cholesky<S, 6> deviations(doubt != nullptr ? *doubt : reading.variance);
+  for (int k = 0; doubt != nullptr && k < 6; ++k) {
     const Vector6<S> deviation = deviations.column(k);
     Vector<S, 2 * N> bent = S(-2.0) * image.features;
     for (const double side : {-1.0, 1.0}) {
@@ -156,7 +158,8 @@ TargetReading<S> read_pose(const ControlTask<S, N>& task, const Vector<S, 2 * N>
   }
   reading.place = carried<S>(expected, reading.off, S(1.0));
   reading.failed = solver.failed();
-  for (int i = 0; i < N; ++i) reading.failed = reading.failed | (!(image.depth(i) < S(0.0)));
+  for (int i = 0; i < N; ++i)
+    reading.failed = reading.failed | (!(task.weights.where_counted(i, image.depth(i), S(-1.0)) < S(0.0)));
   return reading;
 }
 
@@ -224,7 +227,8 @@ Matrix6<S> observable_part(const Cholesky<S, 6>& of_image) {
 /// @param axes of B along which a target is read: 3, or 6
 /// @param dt since the frame before [s]
 /// @param fresh lanes that have a frame, @param stamp of it [ticks]
-/// @param read the frame where a target was expected, a pose with its variance; @param read_alone where none was
+/// @param read the frame where a target was expected, a pose with its variance or none; @param read_alone where none
+/// was
 template <class S, int N, class Read, class ReadAlone>
 void filter_target(const TrackingGains<S, N>& gains, int axes, const S& dt, const Mask<S>& fresh, const S& stamp,
                    const Read& read, const ReadAlone& read_alone, TrackedTarget<S>& target) noexcept {
@@ -240,11 +244,11 @@ void filter_target(const TrackingGains<S, N>& gains, int axes, const S& dt, cons
     vv(j, j) += pushed;
   }
   const Matrix6<S> none = Matrix6<S>::Zero();
-  const TargetReading<S> first = read(expected, none);
+  const TargetReading<S> first = read(expected, nullptr);
   const Cholesky<S, 6> at_first(Matrix6<S>(xx + first.variance));
   const Matrix6<S> left = first.variance * all_solved(at_first, xx);  // of the doubt, after this frame
-  const Vector6<S> moved = first.off - first.variance * at_first.solve(first.off);
-  TargetReading<S> reading = read(carried<S>(expected, moved, S(1.0)), left);
+  const Vector6<S> moved = xx * at_first.solve(first.off);
+  TargetReading<S> reading = read(carried<S>(expected, moved, S(1.0)), &left);
   reading.off = pose_difference<S>(reading.place, expected);
   const Cholesky<S, 6> all_of_it(Matrix6<S>(xx + reading.variance));
   const Mask<S> as_expected = squared_deviations<S>(all_of_it, reading.off) <= all_within<S>(gains.jump, axes);
@@ -326,10 +330,12 @@ void filter_target(const TrackingGains<S, N>& gains, int axes, const S& dt, cons
   // Not by a frame from before the poses that are kept.
   const Mask<S> is_read = is_finite(S(reading.place.position.sum() + reading.place.quaternion.sum())) &
                           is_finite(S(reading.variance.sum()));
-  const Mask<S> broken = is_read & (of_velocity.failed() | of_rest.failed());
+  const Mask<S> broken = is_read & (!begins) & (of_velocity.failed() | of_rest.failed());
   const Mask<S> failed = broken | of_image.failed() | reading.failed;
-  const Mask<S> good = fresh & is_read & (!failed) & is_finite(S(place.position.sum() + place.quaternion.sum())) &
-                       is_finite(S(frames + weak_frames + spread + slope.sum() + followed_twist.sum()));
+  const auto sum_of = [](const Pose<S>& pose) { return S(pose.position.sum() + pose.quaternion.sum()); };
+  const Mask<S> numbers = is_finite(S(sum_of(place) + sum_of(mean) + sum_of(followed) + twist.sum() + trend.sum())) &
+                          is_finite(S(xv.sum() + frames + weak_frames + spread + slope.sum() + followed_twist.sum()));
+  const Mask<S> good = fresh & is_read & numbers & (!failed);
   target.place = select_pose<S>(good, place, target.place);
   target.twist = select(good, twist, target.twist);
   target.xx = select(good, xx, target.xx);

@@ -242,24 +242,30 @@ void take_frame(const SafetyGains<S, N>& gains, const ControlTask<S, N>& task, c
     reading.of_the_image = S(plan.variance * depth * depth) * Matrix6<S>::Identity();
     reading.variance = reading.of_the_image;
     reading = with_exposure(reading, followed_from);
-    const auto read = [&](const Pose<S>& expected, const Matrix6<S>&) {
+    const auto read = [&](const Pose<S>& expected, const Matrix6<S>*) {
       reading.off = pose_difference<S>(reading.place, expected);
       return reading;
     };
     filter_target<S, N>(plan.gains, 3, dt, fresh, seen.newest, read, [&] { return reading; }, target);
     return;
   }
-  const auto read = [&](const Pose<S>& expected, const Matrix6<S>& doubt) {
+  const auto read = [&](const Pose<S>& expected, const Matrix6<S>* doubt) {
     const TargetReading<S> reading = read_pose<S, N>(task, seen.image.features, plan.gains.noise, at, expected, doubt);
     const Pose<S> view = pose_to_follow<S>(task.target.goal, reading.place, at);
     return with_exposure(reading, [&](const Pose<S>& pose) { return pose_to_follow<S>(pose, view, task.target.goal); });
   };
   const auto read_alone = [&] {
-    const PoseEstimate<S> estimate =
-        estimate_pose<S, N>(task.camera, task.target.points_T, seen.image.features,
-                            select_pose<S>(target.known, target.view, seen.pose), Vector6<S>::Zero(), task.weights);
-    TargetReading<S> reading = read(pose_to_follow<S>(at, estimate.pose, task.target.goal), Matrix6<S>::Zero());
-    reading.failed = reading.failed | estimate.failed;
+    const auto estimate_from = [&](const Pose<S>& start) {
+      return estimate_pose<S, N>(task.camera, task.target.points_T, seen.image.features, start, Vector6<S>::Zero(),
+                                 task.weights);
+    };
+    // From where it was seen last, or, where a bad frame left that far away, from the platform's own pose.
+    const PoseEstimate<S> last = estimate_from(select_pose<S>(target.known, target.view, seen.pose)),
+                          own = estimate_from(seen.pose);
+    const Mask<S> by_own = (!own.failed) & (last.failed | (S(4.0) * own.squared_residual < last.squared_residual));
+    const Pose<S> view = select_pose<S>(by_own, own.pose, last.pose);
+    TargetReading<S> reading = read(pose_to_follow<S>(at, view, task.target.goal), nullptr);
+    reading.failed = reading.failed | ((!by_own) & last.failed);
     return reading;
   };
   filter_target<S, N>(plan.gains, 6, dt, fresh, seen.newest, read, read_alone, target);
