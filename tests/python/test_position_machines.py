@@ -214,7 +214,9 @@ def test_a_scenario_of_motors_runs_and_one_of_another_target_does_not(
 ) -> None:
     """Drives of the kind `position_torque` take positions, too; the simulated head has the target of its scenario."""
     path = tmp_path / "motors.yaml"
-    path.write_text(head_scenario().updated({"actuators.kind": "position_torque"}).to_yaml(), encoding="utf-8")
+    motors = {"kind": "position_torque", "motor": hs.load_scenario("reachy-mini-motors").actuators.motor.model_dump()}
+    changes = {f"actuators.{key}": value for key, value in motors.items()} | {"simulation.substeps": 10}
+    path.write_text(head_scenario().updated(changes).to_yaml(), encoding="utf-8")
     given = ["track", "--simulated", "--seconds", "3", "--scenario"]
     assert main(reachy.__main__.PROGRAM, [*given, str(path)]) == 0
     assert "150 ticks of 20 ms; the machine holds its place" in capsys.readouterr().out
