@@ -12,7 +12,13 @@
 #define HEXSERVO_GAINS hexservo_paper
 #endif
 
+#ifdef HEXSERVO_GAINS_OF_hexservo_paper
+#error "two headers of hexservo export with the namespace hexservo_paper: rename one of the scenarios"
+#endif
+#define HEXSERVO_GAINS_OF_hexservo_paper
+
 namespace hexservo_paper {
+inline namespace contents_347b6de10d7525cd {  // no other header has these symbols
 
 using Law = hexservo::Hybrid;
 
@@ -97,4 +103,5 @@ inline hexservo::ControllerGains<Law> controller_gains() {
   return hexservo::controller_gains<Law>(settings(), period);
 }
 
+}  // namespace contents_347b6de10d7525cd
 }  // namespace hexservo_paper

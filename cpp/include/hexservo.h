@@ -335,7 +335,9 @@ HEXSERVO_API void hexservo_tick(const hexservo_gains* gains, hexservo_state* sta
 typedef struct hexservo_plant hexservo_plant;
 
 /** Starts a plant at its first tick; it goes on until it fails (`simulation.duration` does not act).
- * @param plant null in case of an error: those of `hexservo_run_create`, and a scenario in continuous mode */
+ * @param plant null in case of an error: those of `hexservo_run_create`, a scenario in continuous mode, and drives that
+ *              take positions (`actuators.kind` is not force), for which there are `hexservo_run_create` and
+ *              `hexservo_tick` */
 HEXSERVO_API hexservo_status hexservo_plant_create(hexservo_scenario* scenario, hexservo_plant** plant);
 HEXSERVO_API void hexservo_plant_destroy(hexservo_plant* plant);
 /** What the sensors give at this tick, as `hexservo_tick` takes it.

@@ -130,10 +130,11 @@ def _scenario(options: argparse.Namespace, program: Program) -> hs.Scenario:
     scenario = hs.load_scenario(options.scenario)
     if options.command == "record":
         return scenario
-    if scenario.actuators.kind != "position":
+    kind = scenario.actuators.kind
+    if not scenario.actuators.takes_positions:
         raise hs.ScenarioError(
-            "actuators.kind: expected position, got force; `hexservo identify LOG --machine SCENARIO --out FILE` "
-            "writes such a scenario from a log",
+            f"actuators.kind: expected one that takes positions, got {kind}; `hexservo identify LOG --machine SCENARIO "
+            "--out FILE` writes such a scenario from a log",
             options.scenario,
         )
     if scenario.simulation.step != program.period:

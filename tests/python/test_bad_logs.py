@@ -18,6 +18,7 @@ from hexservo import _core
 from hexservo.cli.commands import app
 from hexservo.findings.identification.drives import MOST_DELAY
 from hexservo.findings.identification.log import Frames, Log
+from hexservo.findings.identification.mcap_log import period_of
 from hexservo.findings.identification.reach import require_reach
 from hexservo.scenario.parameters import core_parameters
 
@@ -209,3 +210,26 @@ def test_other_types_are_refused() -> None:
         with pytest.raises((TypeError, ValueError), match=words):
             Log(**{**lists, key: value})
     assert MOST_DELAY == 8
+
+
+def test_single_late_ticks_are_no_uneven_log() -> None:
+    """As of a program on a computer's clock: the first, the last or one in 50, by up to half a period."""
+    even = 0.02 * np.arange(1000.0)
+
+    def log_of(late: Array) -> Log:
+        time = even + late
+        return Log(time, period_of(time), np.zeros((1000, 6)), np.zeros((1000, 6)), None)
+
+    single = np.zeros(1000)
+    for places in ([0], [999], [400], list(range(0, 1000, 50))):
+        late = single.copy()
+        late[places] = 0.0099
+        assert log_of(late).step_near(0.02) == 0.02
+        assert log_of(late).period == pytest.approx(0.02, rel=1e-9)
+    for late in (
+        np.where(even == even[400], 0.0101, 0.0),  # more than half a period
+        np.where(np.arange(1000) % 40 == 7, 0.002, 0.0),  # one in 40
+        *(np.where(even > even[row], 0.02, 0.0) for row in (1, 300, 499, 998)),  # a row is missing
+    ):
+        with pytest.raises(ValueError, match="expected a tick every"):
+            log_of(late)

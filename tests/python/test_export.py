@@ -298,16 +298,24 @@ def reader(
     show("period", {namespace}::period);
 {shows}  }}
 """
-    # of the library, which is not linked here
-    other_flags = "template <int> bool hexservo::library_was_built_with_other_instruction_set_flags() noexcept"
-    program = f"{includes}{other_flags} {{ return false; }}\n{PROGRAM}int main(int, char** arguments) {{\n{calls}}}\n"
+    program = f"{includes}{OTHER_FLAGS}\n{PROGRAM}int main(int, char** arguments) {{\n{calls}}}\n"
     (folder / "main.cpp").write_text(program, encoding="utf-8")
+    return compiled(folder, "main.cpp"), request.param
+
+
+# of the library, which is not linked here
+OTHER_FLAGS = (
+    "template <int> bool hexservo::library_was_built_with_other_instruction_set_flags() noexcept { return false; }"
+)
+
+
+def compiled(folder: Path, *sources: str) -> Path:
     core = ROOT / "cpp"
     headers = ["-I", str(core / "include"), "-isystem", str(EIGEN)]
     warnings = ["-Wall", "-Wextra", "-Werror", "-Wno-psabi"]
-    command = ["g++", "-std=c++20", *warnings, *headers, "main.cpp", str(core / "src" / "fuzzy.cpp"), "-o", "main"]
+    command = ["g++", "-std=c++20", *warnings, *headers, *sources, str(core / "src" / "fuzzy.cpp"), "-o", "main"]
     subprocess.run(command, cwd=folder, check=True)
-    return folder / "main", request.param
+    return folder / "main"
 
 
 @pytest.mark.skipif(shutil.which("g++") is None or EIGEN is None, reason="needs g++ and Eigen, as building does")
@@ -329,6 +337,56 @@ def test_cpp_reads_every_number_back_bit_for_bit(
             value = settings[key]
             value = choices[key].index(value) if isinstance(value, str) else value
             assert numbers == np.ravel(value).tolist(), (law, points, member)
+
+
+def of_one_namespace(paper: hs.Scenario) -> list[str]:
+    """Headers of two scenarios whose names are one namespace, with other gains and another period."""
+    one = paper.updated({"name": "a-b", "controller.hybrid.kp": 1e-6})
+    return [gains_header(one), gains_header(one.updated({"name": "a_b", "controller.hybrid.kp": 2e-6}), 5e-4)]
+
+
+def test_headers_of_one_namespace_have_different_symbols(paper: hs.Scenario) -> None:
+    first, second = of_one_namespace(paper)
+    inner = [re.findall(r"^inline namespace (\w+) \{", text, re.MULTILINE) for text in (first, second)]
+    assert [len(names) for names in inner] == [1, 1]
+    assert inner[0] != inner[1]
+    assert all("\nnamespace hexservo_a_b {\n" in text for text in (first, second))
+    assert (first, second) == tuple(of_one_namespace(paper))  # nothing of the time or the place of an export
+
+
+@pytest.mark.skipif(shutil.which("g++") is None, reason="needs g++")
+def test_two_headers_of_one_namespace_in_one_file_are_refused(paper: hs.Scenario, tmp_path: Path) -> None:
+    (tmp_path / "hexservo").mkdir()
+    (tmp_path / "hexservo" / "controller.hpp").touch()  # the preprocessor decides
+    for name, text in zip(("a.hpp", "b.hpp"), of_one_namespace(paper), strict=True):
+        (tmp_path / name).write_text(text, encoding="utf-8")
+
+    def errors(*names: str) -> list[str]:
+        file = "".join(f'#include "{name}"\n' for name in names)
+        command = ["g++", "-E", "-x", "c++", "-I", str(tmp_path), "-o", "/dev/null", "-"]
+        done = subprocess.run(command, cwd=tmp_path, input=file, capture_output=True, text=True, check=False)
+        return re.findall("#error (.*)", done.stderr)[:1]
+
+    assert errors("a.hpp", "a.hpp") == []
+    words = '"two headers of hexservo export with the namespace hexservo_a_b: rename one of the scenarios"'
+    assert errors("a.hpp", "b.hpp") == [words]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("g++") is None or EIGEN is None, reason="needs g++ and Eigen, as building does")
+def test_two_headers_of_one_namespace_in_one_program_keep_their_gains(paper: hs.Scenario, tmp_path: Path) -> None:
+    for name, text in zip("ab", of_one_namespace(paper), strict=True):
+        (tmp_path / f"{name}.hpp").write_text(text, encoding="utf-8")
+        function = f"""double {name}() {{
+  return hexservo_a_b::settings().gains<hexservo_a_b::Law>().kp[0] / hexservo_a_b::period;
+}}
+"""
+        (tmp_path / f"{name}.cpp").write_text(f'#include "{name}.hpp"\n{OTHER_FLAGS}\n{function}', encoding="utf-8")
+    program = '#include <cstdio>\ndouble a();\ndouble b();\nint main() { std::printf("%a %a", a(), b()); }\n'
+    (tmp_path / "main.cpp").write_text(program, encoding="utf-8")
+    run = compiled(tmp_path, "main.cpp", "a.cpp", "b.cpp")
+    printed = subprocess.run([run], check=True, capture_output=True, text=True).stdout
+    assert [float.fromhex(text) for text in printed.split()] == [1e-6 / paper.simulation.step, 2e-6 / 5e-4]
 
 
 # ---- The command ----------------------------------------------------------------------------------------------------

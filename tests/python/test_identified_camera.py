@@ -23,6 +23,7 @@ from hexservo.findings.identification.frames_noise import (
     joint_deviations,
     moved_by,
     overstated,
+    rounding_deviations,
     scatter_of,
     spline_shares,
 )
@@ -490,3 +491,20 @@ def test_intervals_contain_latency_and_noise_of_frames_that_jitter(
     }
     print(f"jitter {jitter} s, noise {noise} px, {count} logs: {hits}")
     assert min(hits.values()) >= 0.85 * count, hits
+
+
+def test_the_rounding_of_resting_joints_is_no_noise_of_the_camera(paper: hs.Scenario) -> None:
+    """Their readings do not differ, and the image that is predicted from them is off by the same at a whole rest."""
+    random, finer, step = np.random.default_rng(SEED), 10, 1.2e-4
+    jumps = np.repeat(commands_of(paper, random, 50, 0.5, 2e-3), 25, axis=0)  # of which legs rest for most of 0.5 s
+    fine = record(np.repeat(jumps, finer, axis=0), 0.02 / finer, [Drive(10.0, 0.8, finer)] * 6, 0.0, random)
+    exposure: Array = 0.313 + np.arange(700) / 30.0
+    frames = see(paper, CubicSpline(fine.time, fine.joints)(exposure), exposure, exposure + 0.05, 0.2, random)
+    log = Log(fine.time[::finer], 0.02, jumps, np.round(fine.joints[::finer] / step) * step, frames)
+    white = joint_deviations(log.joints)
+    added = rounding_deviations(log.joints, white)
+    np.testing.assert_allclose(np.hypot(white, added), step / np.sqrt(12.0), rtol=1e-6)
+    assert (rounding_deviations(fine.joints, white) < 1e-9).all()
+    camera = fit_camera(log, Scene(paper))
+    assert 0.05 < camera.of_joints < 0.5
+    assert within(camera.noise, 0.2)

@@ -209,6 +209,22 @@ def test_the_head_reaches_its_goal(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "File exists" in capsys.readouterr().err
 
 
+def test_a_scenario_of_motors_runs_and_one_of_another_target_does_not(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Drives of the kind `position_torque` take positions, too; the simulated head has the target of its scenario."""
+    path = tmp_path / "motors.yaml"
+    motors = {"kind": "position_torque", "motor": hs.load_scenario("reachy-mini-motors").actuators.motor.model_dump()}
+    changes = {f"actuators.{key}": value for key, value in motors.items()} | {"simulation.substeps": 10}
+    path.write_text(head_scenario().updated(changes).to_yaml(), encoding="utf-8")
+    given = ["track", "--simulated", "--seconds", "3", "--scenario"]
+    assert main(reachy.__main__.PROGRAM, [*given, str(path)]) == 0
+    assert "150 ticks of 20 ms; the machine holds its place" in capsys.readouterr().out
+    assert main(reachy.__main__.PROGRAM, [*given, "reachy-mini-motors"]) == 1
+    words = "target: expected 4 points, those in the simulated head's images, got 5"
+    assert words in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("known", [True, False], ids=["stamped", "unknown latency"])
 def test_the_head_tracks(clock: SimulatedClock, head: SimulatedMachine, known: bool) -> None:
     """The law `tracking`, also where it has to find the latency itself; with the noise that `check` names for it."""
@@ -228,7 +244,7 @@ def test_scenarios_that_do_not_fit_are_refused(tmp_path: Path, capsys: pytest.Ca
     path = tmp_path / "slow.yaml"
     path.write_text(head_scenario().updated({"simulation.step": 0.04, "actuators.delay": 0.0}).to_yaml())
     for scenario, words in (
-        ("reachy-mini-head", "actuators.kind: expected position, got force"),
+        ("reachy-mini-head", "actuators.kind: expected one that takes positions, got force"),
         (str(path), "simulation.step: expected 0.02 s"),
         ("none", "none"),
     ):

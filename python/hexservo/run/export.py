@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from hashlib import sha256
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.version import VERSION
 
 _FOUR = 4  # points: what controllers and arrays of the core are for by default
+_DIGEST = 16  # hexadecimal digits that name what a header has
 
 TITLE = "// hexservo gains, format 1"
 """First line of every exported header, which distinguishes it from other files."""
@@ -81,7 +83,9 @@ def gains_header(scenario: Scenario, period: float | None = None) -> str:
     The header defines ``Law``, ``scenario_name``, ``period``, ``settings()`` and ``controller_gains()`` in the
     namespace ``hexservo_NAME``, where NAME is the scenario's, with "_" for what is neither letter nor digit, and
     followed by ``_scenario`` where hexservo.h has that name, as ``hexservo_gains``; and the macro ``HEXSERVO_GAINS`` as
-    that namespace where no header before it has. Numbers read back bit for bit. What belongs to the plant is no part
+    that namespace where no header before it has. An inline namespace named after the contents gives each header symbols
+    that no other one has, so that files of a program may include different headers of one namespace; one file that
+    includes two of these does not compile. Numbers read back bit for bit. What belongs to the plant is no part
     of it: errors of inertia, Coriolis terms and weight, the faults of camera, encoders and actuators that a simulation
     adds, and the motion of the base. What ``uncertainty`` has the controller itself assume wrongly is part of it:
     focal length, principal point, mount, depth where the law uses a model of the target's points, and in ``sampled``
@@ -104,9 +108,9 @@ def gains_header(scenario: Scenario, period: float | None = None) -> str:
     settings, period = controller_arguments(scenario, period)
     period = _core.Controller(settings, period).period  # the core's own check
     settings["simulation.step"] = period
-    law = _core.LAW_TRAITS[settings.law]
-    places = "" if settings.places == _FOUR else f", {settings.places}"
-    namespace = _namespace(scenario.name)
+    contents = _contents(scenario, settings, period)
+    digest = sha256("\n".join(contents).encode()).hexdigest()[:_DIGEST]
+    namespace, included = _namespace(scenario.name), f"HEXSERVO_GAINS_OF_{_namespace(scenario.name)}"
     lines = [
         TITLE,
         f'// The controller of the scenario "{scenario.name}", written by `hexservo export` of hexservo {VERSION}.',
@@ -122,8 +126,27 @@ def gains_header(scenario: Scenario, period: float | None = None) -> str:
         f"#define HEXSERVO_GAINS {namespace}",
         "#endif",
         "",
-        f"namespace {namespace} {{",
+        f"#ifdef {included}",
+        f'#error "two headers of hexservo export with the namespace {namespace}: rename one of the scenarios"',
+        "#endif",
+        f"#define {included}",
         "",
+        f"namespace {namespace} {{",
+        f"inline namespace contents_{digest} {{  // no other header has these symbols",
+        "",
+        *contents,
+        "",
+        f"}}  // namespace contents_{digest}",
+        f"}}  // namespace {namespace}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _contents(scenario: Scenario, settings: _core.Settings, period: float) -> list[str]:
+    """Return the lines that define what the header has, of a scenario, its settings and a period [s]."""
+    law = _core.LAW_TRAITS[settings.law]
+    places = "" if settings.places == _FOUR else f", {settings.places}"
+    lines = [
         f"using Law = hexservo::{law.type};",
         "",
         f'inline constexpr const char* scenario_name = "{scenario.name}";',  # letters, digits, "-", "_" and "."
@@ -152,10 +175,8 @@ def gains_header(scenario: Scenario, period: float | None = None) -> str:
         f"inline hexservo::ControllerGains<Law{places}> controller_gains() {{",
         f"  return hexservo::controller_gains<Law{places}>(settings(), period);",
         "}",
-        "",
-        f"}}  // namespace {namespace}",
     ]
-    return "\n".join(lines) + "\n"
+    return lines
 
 
 def _places_in_words(settings: _core.Settings) -> list[str]:

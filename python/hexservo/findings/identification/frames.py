@@ -27,6 +27,7 @@ from hexservo.findings.identification.frames_noise import (
     joint_deviations,
     moved_by,
     overstated,
+    rounding_deviations,
     scatter_of,
     spline_shares,
 )
@@ -319,7 +320,13 @@ def _fit(sight: _Sight, log: Log, joint_noise: Array, *, stamped: bool) -> tuple
     sigma[0] = np.hypot(sigma[0], max(abs(moved_by(jacobian, image.ravel())) for image in by_ticks))
     shift = _bounded(Interval.around(fit.x[0], float(sigma[0])).times(sight.latest), lowest, sight.latest)
     shares = np.sqrt(spline_shares(log, part.times - shift.value))
-    by_joints = shares[:, None, None] * part.by_noise(joint_noise, shift.value)
+    by_joints = np.concatenate(
+        [
+            shares[:, None, None] * part.by_noise(joint_noise, shift.value),
+            part.by_noise(rounding_deviations(log.joints, joint_noise), shift.value),
+        ],
+        axis=2,
+    )
     at_once = jacobian[:, 0].reshape(left.shape) / sight.latest
 
     def scattered(target: Array, left: Array) -> Scatter:

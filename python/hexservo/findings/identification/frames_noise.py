@@ -19,6 +19,7 @@ from hexservo.scenario.arrays import Array
 
 _DIFFERENCES = 6  # of readings one after the other: they have little of a motion, and much of white noise
 _NOISE = 0.5  # share of the differences' power that a fit of the drives leaves of noise, at least
+_RESOLVED = 12  # decimals of readings [m; rad], beyond which two differ by the arithmetic of a driver alone
 _REACH = 15  # ticks from which on a reading does not act in a spline, to 1e-8
 _KNOWN_TO = 0.1  # share of the joints' power in the image that is not known
 _MOST_DEVIATION = 0.25  # of frames' times that is searched [s]
@@ -38,6 +39,25 @@ def joint_deviations(readings: Array) -> Array:
     """
     differences = np.abs(np.diff(readings, n=_DIFFERENCES, axis=0))
     return np.asarray(NORMAL * np.median(differences, axis=0) / np.sqrt(comb(2 * _DIFFERENCES, _DIFFERENCES)))
+
+
+def rounding_deviations(readings: Array, deviations: Array) -> Array:
+    """Return what the rounding of readings adds to their white noise, as standard deviations (6,) [m; rad].
+
+    A leg at rest is off by the same part of a step in all its readings, of which their differences have nothing. The
+    step is the smallest one between different readings of any leg: encoders of a machine are alike, and readings that
+    are not rounded differ by next to nothing. Rounding to steps of d has the variance d^2/12.
+
+    Parameters
+    ----------
+    readings
+        (n, 6) of the joints at the ticks, as logged [m; rad].
+    deviations
+        (6,) of their white noise, as by `joint_deviations`, which has the rounding of readings in motion [m; rad].
+    """
+    steps = np.concatenate([np.diff(np.unique(np.round(leg, _RESOLVED))) for leg in readings.T])
+    step = float(steps.min()) if len(steps) else 0.0
+    return np.asarray(np.sqrt(np.maximum(step**2 / 12.0 - deviations**2, 0.0)))
 
 
 def is_motion(deviations: Array, drives: Drives) -> bool:
@@ -169,7 +189,7 @@ def scatter_of(left: Array, speed: Array, by_joints: Array, together: float, by_
     speed
         (m, 2p) of the image [px/s].
     by_joints
-        (m, 2p, 6) what one standard deviation of each joint's noise moves the image by [px].
+        (m, 2p, k) what one standard deviation of each joint's noise, or of its rounding, moves the image by [px].
     together
         Over how many frames residuals are correlated.
     by_ticks

@@ -99,7 +99,7 @@ def doubts(found: CameraFit) -> list[str]:
             "has it. Check the place and the size of the target (target.points), the focal length (camera.focal_length "
             "or camera.focal_pixels) and the camera's mount (camera.mount): a displaced target stands for any of these."
         )
-    if not found.noise_is_white:
+    if not found.noise_is_white and found.noise_is_of_camera:  # the rounding of joints at rest is correlated, too
         words.append(
             f"What the fit leaves of the image is correlated over {number(found.correlated)} frames: it is more than "
             "noise, such as a wrong size of the target, focal length, lens or mount, and the noise and its interval "

@@ -54,8 +54,9 @@ class _Message:
 
 
 def period_of(time: Array) -> float:
-    """Return the mean time between ticks [s]."""
-    return float(time[-1] - time[0]) / max(1, len(time) - 1)
+    """Return the usual time between ticks (n,) [s]: the median over half of the record, without ticks that are late."""
+    half = len(time) // 2
+    return float(np.median(time[half:] - time[: len(time) - half])) / half if half else 0.0
 
 
 def read_mcap(path: Path, source: str, *, most_bytes: int, most_rows: int) -> Recorded:
