@@ -34,7 +34,7 @@ from hexservo.report.documentation import is_page, page_html
 from hexservo.report.evidence_html import page_text, section_html
 from hexservo.report.figures import figures
 from hexservo.report.html import TITLE, Html, element, json_script, paragraphs, sentence
-from hexservo.report.page import page
+from hexservo.report.page import _space, page
 from hexservo.report.scene import scene
 from hexservo.report.still import still
 from hexservo.run.publish import OutputError
@@ -609,6 +609,38 @@ def test_the_image_is_where_the_camera_is_mounted() -> None:
     ):
         run = hs.simulate(hs.load_scenario(name).updated({"simulation.duration": 0.02}))
         assert f"In front of the camera, {place}, is its image:" in words_of(page(run))
+
+
+@pytest.mark.parametrize(
+    ("gravity", "expected"),
+    [
+        ([0.0, 0.0, 9.8], "points down; the view is upright."),
+        ([0.0, 0.0, -9.8], "points up; the view is upright."),
+        ([9.8, 0.0, 0.0], "is drawn downwards; it is not vertical."),
+        ([9.8, 0.0, -1.0], "is drawn upwards; it is not vertical."),
+        ([0.0, 0.0, 0.0], "is drawn downwards; it is not vertical."),
+    ],
+)
+def test_the_view_is_upright_where_gravity_is_along_z(gravity: list[float], expected: str) -> None:
+    run = hs.simulate(hs.load_scenario("paper").updated({"robot.gravity": gravity, "simulation.duration": 0.01}))
+    assert f"The axis z of B {expected}" in words_of(_space(scene(run)))
+
+
+@pytest.mark.parametrize(
+    ("changes", "finer"),
+    [
+        ({}, True),
+        ({"simulation.duration": 0.02}, False),  # it does not settle
+        ({"simulation.log_every": 100}, False),  # every sample is an instant
+    ],
+)
+def test_the_slider_takes_smaller_steps_where_there_is_a_transient_and_a_rest(
+    changes: dict[str, Any], finer: bool
+) -> None:
+    view = scene(hs.simulate(hs.load_scenario("paper").updated(changes)))
+    steps = np.diff(view.time)
+    assert (steps[0] < 0.5 * steps[-1]) == finer
+    assert ("The slider takes smaller steps until the run has settled." in words_of(_space(view))) == finer
 
 
 def test_the_still_picture_has_no_line_where_a_feature_is_not_shown(result: hs.Result) -> None:
