@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 import hexservo as hs
 from hexservo import _core
+from hexservo.draw.plots import paper_images
 from hexservo.findings import sections
 from hexservo.findings.evidence import Column, Curves, HeatMap, Line, Section, Table
 from hexservo.findings.sections import Group, Source
@@ -265,6 +266,20 @@ def test_the_chart_of_forces_says_what_holds_the_weight() -> None:
         assert words in str(drawn[title][0])
         assert "Force along x and y, in B" in str(drawn[title][0])
         assert "z points" not in "".join(map(str, drawn["Motion of the platform"]))
+
+
+@pytest.mark.parametrize("what", ["law", "switched off", "custom"])
+def test_figures_show_of_a_law_what_acted(what: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hexservo.draw.plots.image_bytes", lambda *_: b"")  # which figures there are, not how they look
+    changes = {"simulation.mode": "sampled", "simulation.duration": 0.005}
+    scenario = hs.load_scenario("paper" if what != "switched off" else "paper-no-fuzzy").updated(changes)
+    run = hs.simulate(scenario, controller=(lambda _: np.zeros(6)) if what == "custom" else None)
+    drawn = dict(figures(run))
+    images = paper_images(run)
+    assert ("Rule table of the fuzzy systems" in drawn) == (what == "law")
+    assert ("fig2a_rule_table.svg" in images) == (what == "law")
+    assert ("weight that the law feeds forward" in str(drawn["Wrench and leg forces"])) == (what != "custom")
+    assert ("Dotted: -0.588 N, the estimated weight." in str(drawn["Wrench and leg forces"])) == (what == "custom")
 
 
 @pytest.mark.parametrize("seed", range(5))

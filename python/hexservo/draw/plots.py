@@ -61,7 +61,7 @@ from hexservo.draw.wrench import control_wrench
 from hexservo.run.leg_limits import exceeded_limits, limits_of_motion
 from hexservo.run.metrics import metrics
 from hexservo.run.result import Result, require_result
-from hexservo.run.samples import ImageView, feature_names, image_views, path_samples
+from hexservo.run.samples import ImageView, feature_names, fuzzy_acted, image_views, path_samples
 from hexservo.run.samples import parts as _parts
 from hexservo.run.time_panels import motion_panels
 from hexservo.scenario.arrays import Array
@@ -328,10 +328,8 @@ def platform_motion(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | Non
 
 def paper_images(result: Result) -> dict[str, bytes]:
     """Return the files of `hexservo.draw.paper_figures` by name."""
-    controller = result.scenario.controller
-    has_table = "fuzzy" in type(controller.gains).model_fields
     figures = {
-        **({"fig2a_rule_table": rule_table(result.scenario)} if has_table else {}),
+        **({"fig2a_rule_table": rule_table(result.scenario)} if fuzzy_acted(result) else {}),
         "fig2b_feature_errors": feature_errors(result),
         "fig3_feature_paths": feature_paths(result),
         "fig4_platform_motion": platform_motion(result),

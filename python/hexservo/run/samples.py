@@ -46,6 +46,12 @@ def broken_parts(result: Result) -> list[slice]:
     return shown
 
 
+def fuzzy_acted(result: Result) -> bool:
+    """Return whether fuzzy systems acted in a run: those of the law that controlled it, switched on."""
+    controller = result.scenario.controller
+    return result.by_law and controller.traits.memory and bool(controller.gains.fuzzy.enabled)
+
+
 def time_range(time: Array) -> tuple[float, float]:
     """Return the limits of a time axis for samples (n,); a single sample has a range too."""
     begin, end = float(time[0]), float(time[-1])
