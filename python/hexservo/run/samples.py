@@ -129,6 +129,24 @@ def path_samples(x: Array, y: Array) -> NDArray[np.intp]:
     return np.union1d(extreme_samples(x), extreme_samples(y))
 
 
+def initial_direction(path: Array, reach: float) -> Array | None:
+    """Return the unit vector (2,) from the start of a path to its first sample that is at least `reach` away from it.
+
+    None for a path that stays nearer to its start. What the path does later, such as a reversal, changes nothing.
+
+    Parameters
+    ----------
+    path
+        Samples, (n, 2).
+    reach
+        A distance above 0, in the unit of the path.
+    """
+    away = path - path[0]
+    distance = np.hypot(*away.T)
+    first = int((distance >= reach).argmax())
+    return away[first] / distance[first] if distance[first] >= reach else None
+
+
 def mean_samples(time: Array) -> int:
     """Return the odd number of samples of the moving mean, about 7 ms; 1 for short or coarse runs."""
     if len(time) < 3:
