@@ -918,6 +918,18 @@ def test_the_slider_moves_the_machine_and_the_button_plays(visit: Callable[..., 
 @pytest.mark.slow
 @in_browser
 @pytest.mark.parametrize("viewport", [PHONE, LAPTOP])
+def test_nothing_of_the_view_in_space_is_cut_at_first(visit: Callable[..., Visit], viewport: dict[str, int]) -> None:
+    """No line and no name of an axis reaches the edge of the picture."""
+    shown = visit(viewport=viewport, color_scheme="light").to_view()
+    picture = imread(BytesIO(shown.locator("#webgl").screenshot()))[..., :3]
+    assert picture[5:-5, 5:-5].min() < 0.5  # it is drawn
+    edges = [picture[:5], picture[-5:], picture[:, :5], picture[:, -5:]]
+    assert min(float(edge.min()) for edge in edges) > 0.95
+
+
+@pytest.mark.slow
+@in_browser
+@pytest.mark.parametrize("viewport", [PHONE, LAPTOP])
 def test_the_page_does_not_scroll_sideways(visit: Callable[..., Visit], viewport: dict[str, int]) -> None:
     seen = visit(viewport=viewport, has_touch=viewport["width"] < 500)
     seen.open().evaluate(DRAW_ALL)
