@@ -225,6 +225,18 @@ def test_a_task_that_starts_at_its_goal_has_no_direction(paper: hs.Scenario) -> 
     assert "The goal image is that from home to 1e-05 px" in nearly.section().sentences[0]
 
 
+def test_a_task_without_a_possible_goal_is_stated_as_such() -> None:
+    """With a stroke that ends before the first pose of the grid: the goal image has a pose all the same."""
+    short = hs.load_scenario("slow-camera").updated({"robot.stroke": 1e-6, "simulation.duration": 0.05})
+    result = largest_start.analyse(short)
+    assert result.directions == ()
+    assert result.goal_error < 1e-6
+    own, others = result.section().sentences[:2]
+    assert own == "No goal in the direction of the task was found that the stroke allows: this direction was not tried."
+    assert others == "Along no axis and about none was a possible goal found: none was tried."
+    assert result.section().verdict == "open"
+
+
 def test_a_goal_image_that_is_rounded_has_a_direction() -> None:
     """Of `fails-leg-limits` the best pose, a rotation by 18 degrees, leaves 3e-5 px."""
     result = largest_start.analyse(hs.load_scenario("fails-leg-limits").updated({"simulation.duration": 0.05}))

@@ -1026,6 +1026,21 @@ def test_signatures_detect_the_patterns_they_describe() -> None:
     assert SIGNATURES["lost_features"](Case(bordered, None), seen, judgement).strength == pytest.approx(0.75)
 
 
+@pytest.mark.parametrize(
+    ("dropout", "expected"),
+    [
+        (0.5, "Frames arrive every 0.066 s on average, instead of every 0.033 s."),
+        (1.0, "No frame arrives, instead of one every 0.033 s."),
+    ],
+)
+def test_the_signature_of_lost_frames_states_how_often_they_arrive(dropout: float, expected: str) -> None:
+    camera = {"camera.period": 0.033, "camera.image_size": None, "camera.dropout": dropout}
+    scenario = hs.load_scenario("fails-lost-features").updated({**camera, "simulation.duration": 0.1})
+    record = record_of(hs.simulate(scenario))
+    signature = SIGNATURES["lost_features"](Case(scenario, None), record, judged(scenario, record))
+    assert (signature.strength, signature.sentence) == (1.0, expected)
+
+
 def test_the_signature_of_a_spring_is_finite_where_friction_by_the_radius_overflows() -> None:
     scenario = hs.load_scenario("paper").updated({"simulation.duration": 0.3})
     record = record_of(hs.simulate(scenario))

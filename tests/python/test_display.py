@@ -23,6 +23,7 @@ import pytest
 from matplotlib.image import imread
 
 import hexservo as hs
+from hexservo.draw.batch import batch_figure
 from hexservo.draw.evidence import item_figure
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.evidence import Curves, HeatMap, Line, Table
@@ -340,6 +341,20 @@ def test_a_batch_shows_what_it_measured(paper: hs.Scenario, asked: list[str]) ->
         for name in hs.METRICS:
             assert (f"<td>{name}</td>" in html or f">{name}<" in html) == (name in asked), name
         assert "3 completed" in repr(batch) or "2 completed" in repr(batch)
+
+
+@pytest.mark.parametrize(
+    ("key", "values", "label"),
+    [
+        ("robot.mass", [0.06, 0.061], "robot.mass [kg]"),
+        ("uncertainty.depth", [0.0, 0.1], "uncertainty.depth [1]"),
+    ],
+)
+def test_the_figure_of_a_batch_has_the_unit_of_what_varies(
+    paper: hs.Scenario, key: str, values: list[float], label: str
+) -> None:
+    batch = hs.simulate_batch(paper.updated({"simulation.duration": 0.02}), {key: values}, "metrics")
+    assert {axes.get_xlabel() for axes in batch_figure(batch).axes} == {label}
 
 
 def test_a_batch_as_a_table_has_a_row_for_each_run(returned: dict[str, Any]) -> None:

@@ -324,6 +324,8 @@ def test_the_report_draws_the_target_on_the_platform(watched: hs.Scenario) -> No
     run = hs.simulate(watched.updated({"simulation.duration": 0.5}))
     view = scene(run)
     assert view.on_base
+    low, high = view.box()
+    assert ((low <= CAMERA + 1e-15) & (high >= CAMERA - 1e-15)).all()
     np.testing.assert_allclose(view.placed(0, np.zeros(3)), CAMERA, rtol=0, atol=1e-15)
     tag = np.array(TAG_POSE[:3]) + Rotation.from_rotvec(TAG_POSE[3:]).apply(TAG)
     for frame in (0, len(view.time) - 1):

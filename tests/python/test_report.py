@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 import hexservo as hs
 from hexservo import _core
+from hexservo.draw.plots import paper_images
 from hexservo.findings import sections
 from hexservo.findings.evidence import Column, Curves, HeatMap, Line, Section, Table
 from hexservo.findings.sections import Group, Source
@@ -34,7 +35,7 @@ from hexservo.report.documentation import is_page, page_html
 from hexservo.report.evidence_html import page_text, section_html
 from hexservo.report.figures import figures
 from hexservo.report.html import TITLE, Html, element, json_script, paragraphs, sentence
-from hexservo.report.page import page
+from hexservo.report.page import _space, page
 from hexservo.report.scene import scene
 from hexservo.report.still import still
 from hexservo.run.publish import OutputError
@@ -265,6 +266,20 @@ def test_the_chart_of_forces_says_what_holds_the_weight() -> None:
         assert words in str(drawn[title][0])
         assert "Force along x and y, in B" in str(drawn[title][0])
         assert "z points" not in "".join(map(str, drawn["Motion of the platform"]))
+
+
+@pytest.mark.parametrize("what", ["law", "switched off", "custom"])
+def test_figures_show_of_a_law_what_acted(what: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hexservo.draw.plots.image_bytes", lambda *_: b"")  # which figures there are, not how they look
+    changes = {"simulation.mode": "sampled", "simulation.duration": 0.005}
+    scenario = hs.load_scenario("paper" if what != "switched off" else "paper-no-fuzzy").updated(changes)
+    run = hs.simulate(scenario, controller=(lambda _: np.zeros(6)) if what == "custom" else None)
+    drawn = dict(figures(run))
+    images = paper_images(run)
+    assert ("Rule table of the fuzzy systems" in drawn) == (what == "law")
+    assert ("fig2a_rule_table.svg" in images) == (what == "law")
+    assert ("weight that the law feeds forward" in str(drawn["Wrench and leg forces"])) == (what != "custom")
+    assert ("Dotted: -0.588 N, the estimated weight." in str(drawn["Wrench and leg forces"])) == (what == "custom")
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -611,6 +626,38 @@ def test_the_image_is_where_the_camera_is_mounted() -> None:
         assert f"In front of the camera, {place}, is its image:" in words_of(page(run))
 
 
+@pytest.mark.parametrize(
+    ("gravity", "expected"),
+    [
+        ([0.0, 0.0, 9.8], "points down; the view is upright."),
+        ([0.0, 0.0, -9.8], "points up; the view is upright."),
+        ([9.8, 0.0, 0.0], "is drawn downwards; it is not vertical."),
+        ([9.8, 0.0, -1.0], "is drawn upwards; it is not vertical."),
+        ([0.0, 0.0, 0.0], "is drawn downwards; it is not vertical."),
+    ],
+)
+def test_the_view_is_upright_where_gravity_is_along_z(gravity: list[float], expected: str) -> None:
+    run = hs.simulate(hs.load_scenario("paper").updated({"robot.gravity": gravity, "simulation.duration": 0.01}))
+    assert f"The axis z of B {expected}" in words_of(_space(scene(run)))
+
+
+@pytest.mark.parametrize(
+    ("changes", "finer"),
+    [
+        ({}, True),
+        ({"simulation.duration": 0.02}, False),  # it does not settle
+        ({"simulation.log_every": 100}, False),  # every sample is an instant
+    ],
+)
+def test_the_slider_takes_smaller_steps_where_there_is_a_transient_and_a_rest(
+    changes: dict[str, Any], finer: bool
+) -> None:
+    view = scene(hs.simulate(hs.load_scenario("paper").updated(changes)))
+    steps = np.diff(view.time)
+    assert (steps[0] < 0.5 * steps[-1]) == finer
+    assert ("The slider takes smaller steps until the run has settled." in words_of(_space(view))) == finer
+
+
 def test_the_still_picture_has_no_line_where_a_feature_is_not_shown(result: hs.Result) -> None:
     view = scene(result)
     image = view.image.copy()
@@ -866,6 +913,18 @@ def test_the_slider_moves_the_machine_and_the_button_plays(visit: Callable[..., 
     shown.wait_for_timeout(300)
     assert shown.locator("#instant").input_value() == held
     assert seen.problems == []
+
+
+@pytest.mark.slow
+@in_browser
+@pytest.mark.parametrize("viewport", [PHONE, LAPTOP])
+def test_nothing_of_the_view_in_space_is_cut_at_first(visit: Callable[..., Visit], viewport: dict[str, int]) -> None:
+    """No line and no name of an axis reaches the edge of the picture."""
+    shown = visit(viewport=viewport, color_scheme="light").to_view()
+    picture = imread(BytesIO(shown.locator("#webgl").screenshot()))[..., :3]
+    assert picture[5:-5, 5:-5].min() < 0.5  # it is drawn
+    edges = [picture[:5], picture[-5:], picture[:, :5], picture[:, -5:]]
+    assert min(float(edge.min()) for edge in edges) > 0.95
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from hexservo.campaigns.distributions import SEED, Variation, uniform_of
-from hexservo.run.variations import changes_of_run, unit_of_varied
+from hexservo.run.variations import changes_of_run, label_of_varied
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.keys import numeric_keys, value_at
 from hexservo.scenario.scenario import Scenario
@@ -46,8 +46,8 @@ _UNITS = dict(zip(PLACED, ("m", "rad"), strict=True))
 
 def with_unit(scenario: Scenario, name: str) -> str:
     """Return the name of a number that varies, as ``target.rotation[0]``, or of a key, with its unit."""
-    unit = _UNITS.get(name.partition("[")[0]) or unit_of_varied(scenario, name)
-    return f"{name} [{unit}]" if unit else name
+    unit = _UNITS.get(name.partition("[")[0])
+    return f"{name} [{unit}]" if unit else label_of_varied(scenario, name)
 
 
 class Drawing:

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 from hexservo.draw.style import BLUE, PAGE, VERMILION, styled
 from hexservo.run.metrics import metric_label
+from hexservo.run.variations import label_of_varied
 
 if TYPE_CHECKING:
     from hexservo.run.batch import BatchResult
@@ -37,7 +38,7 @@ def batch_figure(batch: BatchResult) -> Figure:
             for shown, colour, text in ((done, BLUE, "completed"), (~done, VERMILION, "ended early")):
                 if (shown & np.isfinite(values)).any():
                     axes.plot(places[shown], values[shown], ".", color=colour, markersize=3, label=text)
-            axes.set_xlabel(key)
+            axes.set_xlabel(label_of_varied(batch.scenario, key))
             axes.set_ylabel(label)
         else:
             known = np.sort(values[np.isfinite(values)])

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.markers import MarkerStyle
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
+from matplotlib.transforms import ScaledTranslation
 from numpy.typing import NDArray
 
 from hexservo.draw.style import AXES_INKS, BLACK, FAINT, GREY, LEG_INKS, THIN, VERMILION, Ink, short_number
@@ -302,17 +303,12 @@ def free_place(candidates: Array, taken: Array, enough: float) -> int:
     return int(free[0] if len(free) else room.argmax())
 
 
-def point_the_way(axes: Axes, path: Array, distance: float, colour: str, number: int) -> None:
-    """Put an arrow head on a path at a distance along it."""
-    travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
-    if not 0 < distance < travelled[-1]:
-        return
-    tail, head = (
-        np.array([np.interp(at, travelled, path[:, axis]) for axis in (0, 1)]) for at in (0.99 * distance, distance)
-    )
-    direction = np.degrees(np.arctan2(*(head - tail)[::-1]))
-    triangle = MarkerStyle(">").rotated(deg=float(direction))
-    axes.plot(*head, marker=triangle, markersize=5, markeredgewidth=0, color=colour, gid=f"direction {number}")
+def point_the_way(axes: Axes, start: Array, away: Array, colour: str, number: int) -> None:
+    """Put an arrow head beside the start of a path, at an offset from it (2,) [points], which is its direction."""
+    triangle = MarkerStyle(">").rotated(deg=float(np.degrees(np.arctan2(away[1], away[0]))))
+    beside = axes.transData + ScaledTranslation(away[0] / 72.0, away[1] / 72.0, axes.figure.dpi_scale_trans)
+    looks: dict[str, Any] = {"markersize": 5, "markeredgewidth": 0, "color": colour, "zorder": 3.5}
+    axes.plot(*start, marker=triangle, transform=beside, gid=f"direction {number}", **looks)
 
 
 def draw_legend(figure: Figure, handles: Mapping[str, Line2D]) -> None:

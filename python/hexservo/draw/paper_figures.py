@@ -27,7 +27,8 @@ def paper_figures(result: Result, folder: str | os.PathLike[str], *, force: bool
     Returns
     -------
     list of Path
-        The files: for each figure the SVG, then the PNG. A law without fuzzy systems has no figure 2(a).
+        The files: for each figure the SVG, then the PNG. A run in which no fuzzy systems
+        act (another law, a custom controller, ``fuzzy.enabled: false``) has no figure 2(a).
 
     Raises
     ------

@@ -9,7 +9,7 @@ no peak is lost.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import product
+from itertools import compress, product
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
@@ -61,7 +61,7 @@ from hexservo.draw.wrench import control_wrench
 from hexservo.run.leg_limits import exceeded_limits, limits_of_motion
 from hexservo.run.metrics import metrics
 from hexservo.run.result import Result, require_result
-from hexservo.run.samples import ImageView, feature_names, image_views, path_samples
+from hexservo.run.samples import ImageView, feature_names, fuzzy_acted, image_views, initial_direction, path_samples
 from hexservo.run.samples import parts as _parts
 from hexservo.run.time_panels import motion_panels
 from hexservo.scenario.arrays import Array
@@ -80,8 +80,12 @@ _WORST = 2  # lines that are labelled where there are more: those with the large
 
 _LABEL_OFFSET = 7.0  # of a point's number from its mark, along each axis [points]
 _LABEL_ROOM = 8.5  # between a number and what else is drawn: half of either and a gap [points]
+_LABEL_EDGE = 5.5  # between the middle of a number and the axes: half its height, and its halo [points]
 _BESIDE = np.array([*product((1.0, -1.0), repeat=2), (1.4, 0.0), (-1.4, 0.0), (0.0, 1.4), (0.0, -1.4)])  # offsets
-_SAMPLES_OF_PATH = 20  # that numbers keep away from
+_SAMPLES_OF_PATH = 400  # that numbers keep away from
+
+_REACH = 0.03  # of half the axes: where a path has left the mark of its start, and an arrow has its direction
+_ARROW_OFFSET = 6.5  # of an arrow head from the start: clear of that mark [points]
 
 _START: dict[str, Any] = {"marker": "o", "markersize": 5, "markerfacecolor": "white", "markeredgewidth": 1.1}
 _END: dict[str, Any] = {"marker": "o", "markersize": 3.2, "markeredgewidth": 0}
@@ -237,7 +241,8 @@ def feature_paths(result: Result, *, ax: Axes) -> Axes: ...
 def feature_paths(result: Result, *, ax: Axes | None = None) -> Figure | Axes:
     """Draw the paths of the features in the image plane in px, axes equal, figure 3.
 
-    The arrow is the initial direction of each feature. y points up, as in (4), looking along the optical axis.
+    The arrow head beside each start is the initial direction of the feature, by the first 3 % of half the axes; a
+    feature that stays nearer to its start has none. y points up, as in (4), looking along the optical axis.
     If ``camera.image_size`` is given, the axes have the aspect ratio and the border of the image, as lens, principal
     point and focal lengths place it among features; if the paths take a small part of the image, a second panel
     magnifies them.
@@ -328,10 +333,8 @@ def platform_motion(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | Non
 
 def paper_images(result: Result) -> dict[str, bytes]:
     """Return the files of `hexservo.draw.paper_figures` by name."""
-    controller = result.scenario.controller
-    has_table = "fuzzy" in type(controller.gains).model_fields
     figures = {
-        **({"fig2a_rule_table": rule_table(result.scenario)} if has_table else {}),
+        **({"fig2a_rule_table": rule_table(result.scenario)} if fuzzy_acted(result) else {}),
         "fig2b_feature_errors": feature_errors(result),
         "fig3_feature_paths": feature_paths(result),
         "fig4_platform_motion": platform_motion(result),
@@ -398,7 +401,7 @@ def _draw_paths(axes: Axes, result: Result, view: ImageView, *, named: bool = Tr
     axes.set_aspect("equal", adjustable="box")
     if view.border is not None:
         axes.add_patch(Polygon(view.border, fill=False, edgecolor=GREY, linewidth=0.8, gid="border", zorder=1.5))
-    half = float(view.half.min())
+    half, arrows = float(view.half.min()), np.zeros((len(goals), 2))
     for number, (path, goal) in enumerate(zip(features.swapaxes(0, 1), goals, strict=True), start=1):
         colour = _point_colour(number - 1)
         kept = path_samples(*path.T)
@@ -406,15 +409,18 @@ def _draw_paths(axes: Axes, result: Result, view: ImageView, *, named: bool = Tr
         for name, place, mark in (("start", path[0], _START), ("end", path[-1], _END), ("goal", goal, _GOAL)):
             looks = {"markerfacecolor": colour, **mark}
             axes.plot(*place, color=colour, linestyle="", zorder=4, gid=f"{name} {number}", **looks)
-        if not named:
-            continue
-        point_the_way(axes, path, max(0.55 * float(np.hypot(*(goal - path[0]))), 0.1 * half), colour, number)
+        direction = initial_direction(path, _REACH * half) if named else None
+        if direction is not None:
+            arrows[number - 1] = _ARROW_OFFSET * direction
+            point_the_way(axes, path[0], arrows[number - 1], colour, number)
     if named:
-        _number_points(axes, features, goals, farther_apart(features[0], features[-1], 0.16 * half))
+        _number_points(axes, features, goals, arrows, farther_apart(features[0], features[-1], 0.16 * half))
 
 
-def _number_points(axes: Axes, features: Array, goals: Array, corner_of: int) -> None:
+def _number_points(axes: Axes, features: Array, goals: Array, arrows: Array, corner_of: int) -> None:
     """Write the number of each point where neither marks and paths nor other numbers are, as far as there is room.
+
+    They stay within the axes, clear of their lines, where a place near the start or the end does.
 
     Parameters
     ----------
@@ -422,6 +428,8 @@ def _number_points(axes: Axes, features: Array, goals: Array, corner_of: int) ->
         With its limits and its aspect.
     features, goals
         Of the samples (n, points, 2) and of the goal (points, 2).
+    arrows
+        Offsets of the arrow heads from the starts, (points, 2) [points]; 0 where there is none.
     corner_of
         0: beside the start if there is room; -1: beside the end.
     """
@@ -433,13 +441,17 @@ def _number_points(axes: Axes, features: Array, goals: Array, corner_of: int) ->
 
     every = max(1, len(features) // _SAMPLES_OF_PATH)
     paths, ends = on_paper(features[::every]).reshape(-1, 2), on_paper(features[[0, -1]])
-    taken = np.concatenate([paths, ends.reshape(-1, 2), on_paper(goals)])
+    taken = np.concatenate([paths, ends.reshape(-1, 2), on_paper(goals), ends[0] + arrows])
+    low, high = axes.bbox.get_points() * 72.0 / axes.figure.dpi
     for number, goal in enumerate(goals):
         at = features[corner_of, number]
         usual = np.where(at < goal, -1.0, 1.0)
         offsets = np.concatenate([[usual], _BESIDE]) * _LABEL_OFFSET
         places = [(at, offset) for at in features[[corner_of, -1 - corner_of], number] for offset in offsets]
         candidates = np.array([on_paper(at) + offset for at, offset in places])
+        inside = ((candidates >= low + _LABEL_EDGE) & (candidates <= high - _LABEL_EDGE)).all(axis=1)
+        if inside.any():
+            places, candidates = list(compress(places, inside)), candidates[inside]
         chosen = free_place(candidates, taken, _LABEL_ROOM)
         taken = np.concatenate([taken, candidates[[chosen]]])
         at, away = places[chosen]

@@ -37,8 +37,8 @@ def control_wrench(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | None
     Thin lines are the samples; thick lines, if there are enough samples, are their moving means, since the samples
     chatter due to the switching term. The dotted line is the weight in Ḡ that the law feeds forward (1), (15), on each
     axis along which gravity has a part; at the legs it is their force limit, where it is within what they do.
-    With `actuators.kind` `position` wrench and leg forces are what the motion takes, and no law feeds the weight
-    forward; the dotted line is then the estimated weight.
+    With `actuators.kind` `position` wrench and leg forces are what the motion takes. Neither there nor under a custom
+    controller does a law feed the weight forward; the dotted line is then the estimated weight.
 
     Parameters
     ----------

@@ -17,6 +17,7 @@ from hexservo.run.samples import (
     axis_range,
     broken_parts,
     feature_names,
+    fuzzy_acted,
     image_views,
     mean_period,
     mean_samples,
@@ -59,10 +60,9 @@ _FIRST_SHARE, _GAP = 0.62, 0.025  # of the width: the panel of the transient, an
 
 
 def figures(result: Result) -> list[tuple[str, list[Html]]]:
-    """Return each figure as heading and charts; a law without fuzzy systems has no rule table."""
-    table = _rule_table(result)
+    """Return each figure as heading and charts; a run in which no fuzzy systems act has no rule table."""
     drawn = [
-        *([("Rule table of the fuzzy systems", "2a", [table])] if table is not None else []),
+        *([("Rule table of the fuzzy systems", "2a", [_rule_table(result)])] if fuzzy_acted(result) else []),
         ("Feature errors", "2b", _feature_errors(result)),
         ("Feature paths in the image", "3", _feature_paths(result)),
         ("Motion of the platform", "4", [_over_time(result, panel) for panel in motion_panels(result)]),
@@ -85,12 +85,9 @@ def _is_of_the_paper(result: Result) -> bool:
     return own == paper
 
 
-def _rule_table(result: Result) -> Html | None:
-    law = _core.LAW_TRAITS[result.scenario.controller.law]
-    if not law.memory:
-        return None
-    settings = core_parameters(result.scenario)
-    values = settings[f"controller.{law.name}.fuzzy.table"]
+def _rule_table(result: Result) -> Html:
+    law = result.scenario.controller.traits
+    values = core_parameters(result.scenario)[f"controller.{law.name}.fuzzy.table"]
     limit = max(1.0, float(np.abs(values).max()))
     terms = list(TERMS)
     spec = {
@@ -119,8 +116,6 @@ def _rule_table(result: Result) -> Html | None:
     spec["layout"] |= {"maxWidth": 430, "aspect": 1}  # type: ignore[operator]
     meaning = "pose error" if law.prior else "image wrench"
     note = f"Rows: terms of u, the scaled {meaning}. Columns: terms of its rate. The table is that of all six systems."
-    if not settings[f"controller.{law.name}.fuzzy.enabled"]:
-        note += " They are switched off in this run."
     return chart(spec, "Output term of each rule", note=note, height=360)
 
 

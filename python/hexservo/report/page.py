@@ -143,11 +143,12 @@ def _space(seen: SpaceView) -> Html:
     legs = "legs" if seen.feet is None else "rods; thick: cranks"
     centred = not (seen.on_base or seen.camera.any())
     where = "at the centre of the platform" if centred else f"on the {'base' if seen.on_base else 'platform'}"
+    down = "down" if seen.z_down else "up"
+    axis = f"points {down}; the view is upright." if seen.upright else f"is drawn {down}wards; it is not vertical."
     words = (
         f"Grey: base and {legs}. Orange: legs beyond a limit. Blue: platform. In front of the camera, {where}, "
         "is its image: "
-        f"dots are features, squares their goals, lines the paths so far. {targets} The axis z of B points "
-        f"{'down' if seen.z_down else 'up'}; the view is upright. "
+        f"dots are features, squares their goals, lines the paths so far. {targets} The axis z of B {axis} "
     )
     shown = (
         f"features, ±{np.abs(seen.border[:, :2]).max() * seen.pixels_per_metre:.4g} px shown"
@@ -171,7 +172,7 @@ def _space(seen: SpaceView) -> Html:
         controls,
         still(seen),
         element("p", "", id="webgl-missing", hidden=True),
-        element("figcaption", words, element("span", _SLIDER, class_="slider")),
+        element("figcaption", words, *([element("span", _SLIDER, class_="slider")] if seen.finer else [])),
         json_script({**seen.to_plain(), "view": VIEW}, id="scene"),
         id="view",
     )

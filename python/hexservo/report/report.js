@@ -134,6 +134,8 @@
     const COLOURS = ["blue", "vermilion", "green", "black", "purple", "orange"];
     const POINTS = scene.goals.map((_, point) => COLOURS[point % COLOURS.length]);
     const GAP = [null, null, null];
+    const HALF_ANGLE = Math.PI / 8; // half the angle of view of plotly.js, up and down
+    const NAMES = [55, 32]; // px beside the box, and above and below it, for numbers and names of the axes
 
     /** Puts a point of C into B at an instant. */
     function placed(frame, point) {
@@ -236,7 +238,6 @@
         showbackground: false, showspikes: false, nticks: 5, tickfont: { size: 10 },
         range: reversed ? [scene.high[at], scene.low[at]] : [scene.low[at], scene.high[at]],
       });
-      const [x, y, z] = scene.view;
       return {
         width: gl.clientWidth, height: gl.clientHeight, autosize: false, margin: { l: 0, r: 0, t: 0, b: 0 }, paper_bgcolor: "rgba(0,0,0,0)", uirevision: "keep",
         font: { family: "system-ui, sans-serif", color: colours.ink },
@@ -245,9 +246,27 @@
           aspectmode: "manual", dragmode: "turntable", uirevision: "keep",
           aspectratio: ratio(),
           xaxis: axis("x", 0, false), yaxis: axis("y", 1, scene.zDown), zaxis: axis("z", 2, scene.zDown),
-          camera: { eye: { x, y, z }, up: { x: 0, y: 0, z: 1 }, projection: { type: "perspective" } },
+          camera: { eye: viewpoint(), up: { x: 0, y: 0, z: 1 }, projection: { type: "perspective" } },
         },
       };
+    }
+    /** The nearest place in the direction of the view from which the box and the names of its axes are within the picture. */
+    function viewpoint() {
+      const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+      const away = Math.hypot(...scene.view);
+      const toward = scene.view.map((part) => part / away);
+      const level = Math.hypot(toward[0], toward[1]);
+      const right = [-toward[1] / level, toward[0] / level, 0];
+      const up = [-toward[2] * right[1], toward[2] * right[0], level];
+      const [width, height] = [gl.clientWidth, gl.clientHeight];
+      const [across, along] = [width - 2 * NAMES[0], height - 2 * NAMES[1]].map((size) => Math.tan(HALF_ANGLE) * Math.max(size, 100) / height);
+      const half = Object.values(ratio()).map((size) => size / 2);
+      const places = [0, 1, 2, 3, 4, 5, 6, 7].map((corner) => {
+        const at = half.map((size, axis) => (corner >> axis & 1 ? size : -size));
+        return dot(at, toward) + Math.max(Math.abs(dot(at, right)) / across, Math.abs(dot(at, up)) / along);
+      });
+      const [x, y, z] = toward.map((part) => part * Math.max(...places));
+      return { x, y, z };
     }
     function ratio() {
       const size = [0, 1, 2].map((at) => scene.high[at] - scene.low[at]);

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hexservo import _core
 from hexservo.report.charts import encoded
 from hexservo.run.leg_motion import leg_motions
-from hexservo.run.samples import parts, turns_from_home
+from hexservo.run.samples import along_z, parts, turns_from_home
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.leg_units import leg_units
 from hexservo.scenario.motion import moves
@@ -52,7 +52,9 @@ class SpaceView:
     turn: Array  # (k, 3) [rad], rotation vector
     error: Array  # (k,) [px], largest feature error
     pixels_per_metre: float  # of features on the image plane
-    z_down: bool  # gravity points along z of B, not against it
+    z_down: bool  # z of B is drawn downwards: gravity is not against it
+    upright: bool  # gravity is along z of B, or against it: what is drawn downwards is down
+    finer: bool  # instants are closer to one another until the run has settled
 
     @property
     def corners(self) -> Array:
@@ -77,7 +79,8 @@ class SpaceView:
 
     def box(self) -> tuple[Array, Array]:
         """Return the smallest and the largest coordinates of all drawn points, (3,) each."""
-        plane = np.concatenate([self.placed(frame, self.border) for frame in range(len(self.time))])
+        image = np.vstack([self.border, np.zeros(3)])  # with the camera, from which lines lead to the corners
+        plane = np.concatenate([self.placed(frame, image) for frame in range(len(self.time))])
         everything = [self.base, self.joints.reshape(-1, 3), self.position, plane]
         targets = [self.target(frame) for frame in range(len(self.time))]
         everything += [place[np.isfinite(place).all(axis=1)] for place in targets if place is not None]
@@ -120,7 +123,7 @@ def scene(result: Result) -> SpaceView:
     """Select the instants of a run for the view, more of them during the transient, and compute all positions."""
     settings = core_parameters(result.scenario)
     hexapod = _core.Hexapod(settings.robot)
-    chosen = _instants(result)
+    chosen, finer = _instants(result)
     position, quaternion = result.position[chosen], result.quaternion[chosen]
     rotation = _rotations(quaternion)
     joints = position[:, None, :] + hexapod.platform_joints @ np.swapaxes(rotation, 1, 2)
@@ -160,6 +163,8 @@ def scene(result: Result) -> SpaceView:
         error=np.abs(result.feature_error[chosen]).max(axis=1),
         pixels_per_metre=1 / pixel,
         z_down=result.scenario.robot.gravity[2] >= 0,
+        upright=along_z(np.array(result.scenario.robot.gravity)),
+        finer=finer,
     )
 
 
@@ -186,13 +191,18 @@ def _limits_used(result: Result, chosen: NDArray[np.intp]) -> tuple[Array, NDArr
     return all_shares.max(axis=0), all_shares.argmax(axis=0), (*words, f"{effort} limit")
 
 
-def _instants(result: Result) -> NDArray[np.intp]:
-    """Select samples uniformly within the transient and, more sparsely, within the rest."""
+def _instants(result: Result) -> tuple[NDArray[np.intp], bool]:
+    """Select samples uniformly within the transient and, more sparsely, within the rest.
+
+    Also return whether the rest has them more sparsely: it has not where there is no rest, or where all samples are
+    selected.
+    """
     chosen = [
-        np.linspace(part.start, part.stop - 1, min(count, part.stop - part.start)).round().astype(np.intp)
+        np.linspace(part.start, part.stop - 1, min(count, part.stop - part.start))
         for part, count in zip(parts(result), _FRAMES, strict=False)
     ]
-    return np.unique(np.concatenate(chosen))
+    steps = [np.ptp(places) / max(len(places) - 1, 1) for places in chosen]
+    return np.unique(np.concatenate(chosen).round().astype(np.intp)), bool(steps[0] < steps[-1])
 
 
 def _rotations(quaternion: Array) -> Array:

@@ -12,7 +12,7 @@ from hexservo.report.scene import SpaceView
 from hexservo.scenario.arrays import Array, Mask
 
 VIEW = (1.42, -1.75, 1.15)
-"""Viewpoint in the upright frame, (x, -y, -z) of B where z points down; also the initial one of the page's script."""
+"""Direction of the view in the upright frame, (x, -y, -z) of B where z points down; the page begins with it too."""
 
 _HEIGHT = 560.0  # of the picture
 _MARGIN = 26.0

@@ -46,6 +46,12 @@ def broken_parts(result: Result) -> list[slice]:
     return shown
 
 
+def fuzzy_acted(result: Result) -> bool:
+    """Return whether fuzzy systems acted in a run: those of the law that controlled it, switched on."""
+    controller = result.scenario.controller
+    return result.by_law and controller.traits.memory and bool(controller.gains.fuzzy.enabled)
+
+
 def time_range(time: Array) -> tuple[float, float]:
     """Return the limits of a time axis for samples (n,); a single sample has a range too."""
     begin, end = float(time[0]), float(time[-1])
@@ -121,6 +127,24 @@ def extreme_samples(values: Array, most: int = _MAX_POINTS) -> NDArray[np.intp]:
 def path_samples(x: Array, y: Array) -> NDArray[np.intp]:
     """Return the indices of samples to draw of a path with coordinates (n,) each, as `extreme_samples` of both."""
     return np.union1d(extreme_samples(x), extreme_samples(y))
+
+
+def initial_direction(path: Array, reach: float) -> Array | None:
+    """Return the unit vector (2,) from the start of a path to its first sample that is at least `reach` away from it.
+
+    None for a path that stays nearer to its start. What the path does later, such as a reversal, changes nothing.
+
+    Parameters
+    ----------
+    path
+        Samples, (n, 2).
+    reach
+        A distance above 0, in the unit of the path.
+    """
+    away = path - path[0]
+    distance = np.hypot(*away.T)
+    first = int((distance >= reach).argmax())
+    return away[first] / distance[first] if distance[first] >= reach else None
 
 
 def mean_samples(time: Array) -> int:

@@ -87,11 +87,12 @@ def _force_panels(result: Result) -> list[TimePanel]:
         if is_along_z
         else ("Force along x and y, in B", "Force along z, in B")
     )
-    meaning = (
-        "the weight that the law feeds forward"
-        if result.scenario.actuators.kind == "force"
-        else "the estimated weight, which the law does not feed forward"
-    )
+    if not result.by_law:
+        meaning = "the estimated weight"
+    elif result.scenario.actuators.kind == "force":
+        meaning = "the weight that the law feeds forward"
+    else:
+        meaning = "the estimated weight, which the law does not feed forward"
     panels = []
     for title, columns in zip(titles, (slice(0, 2), slice(2, 3)), strict=True):
         held = {

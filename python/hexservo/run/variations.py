@@ -224,6 +224,12 @@ def unit_of_varied(scenario: Scenario, name: str) -> str:
     return unit_of(scenario.robot, key, unit)
 
 
+def label_of_varied(scenario: Scenario, name: str) -> str:
+    """Return the label of an axis for a key that may vary, or for an entry of it, with its unit where it has one."""
+    unit = unit_of_varied(scenario, name)
+    return f"{name} [{unit}]" if unit else name
+
+
 def plain_row(rule: NumericKey, row: NDArray[Any]) -> Any:
     return int(row) if rule.whole else row.tolist()
 

@@ -119,7 +119,7 @@ class LargestStart(Part):
 
     law: str
     open_because: str  # empty where the analysis applies
-    directions: tuple[Direction, ...] = ()  # the task's own first, where its goal has a pose
+    directions: tuple[Direction, ...] = ()  # the task's own first; those along which a goal is possible
     timings: tuple[Timing, ...] = ()
     duration: float = 0.0  # [s], of every run
     longer: float = 0.0  # [s], of those of the smallest sizes that fail; 0: there were none
@@ -127,6 +127,7 @@ class LargestStart(Part):
     starts_at_goal: bool = False  # home has the goal image, within `goal.inexact`
     home_error: float = 0.0  # [px], largest |xi_d - xi| at home
     goal_error: float = 0.0  # [px], the same at the pose of least image error
+    own_limit: str = ""  # as `limited_by`, where the goal image has a pose but no goal on the way to it is possible
     band: float = 0.0  # [px], of settling
     dwell: float = 0.0  # [s], how long a run must have been within the band at its end
     assumed: str = ""  # what the runs with camera times assume beside the scenario
@@ -171,7 +172,9 @@ def analyse(scenario: Scenario) -> LargestStart:
     goals = find_goals(scene)
     assert goals is not None  # as the camera has points
     at_goal = bool(scene.residual(scene.home) <= inexact(scene))
-    directions = _directions(scene, trial, goals.best.displacement if goals.reachable and not at_goal else None)
+    directions, own_limit = _directions(
+        scene, trial, goals.best.displacement if goals.reachable and not at_goal else None
+    )
     timings, assumed = _timings(scenario, trial) if trial.task_settles else ((), "")
     longer = trial.longer if any(d.settles_later is not None for d in directions) else 0.0
     measured = scenario.metrics
@@ -186,6 +189,7 @@ def analyse(scenario: Scenario) -> LargestStart:
         at_goal,
         float(scene.residual(scene.home)),
         goals.best.largest_residual,
+        own_limit,
         measured.band,
         measured.dwell,
         assumed,
@@ -271,8 +275,11 @@ def _whole(duration: float, step: float) -> float:
 # ---- Starting errors ------------------------------------------------------------------------------------------------
 
 
-def _directions(scene: Scene, trial: _Trial, own: Array | None) -> tuple[Direction, ...]:
-    """Try goals along the task's own way, if it has one, the axes and the rotations, all in one batch per round."""
+def _directions(scene: Scene, trial: _Trial, own: Array | None) -> tuple[tuple[Direction, ...], str]:
+    """Try goals along the task's own way, if it has one, the axes and the rotations, all in one batch per round.
+
+    Ways along which no goal is possible are left out; also return what limits the task's own if it is among them.
+    """
     ways = [
         Direction(
             name,
@@ -287,6 +294,7 @@ def _directions(scene: Scene, trial: _Trial, own: Array | None) -> tuple[Directi
         )
         for name, unit in _units(scene, own)
     ]
+    own_limit = "".join(way.limited_by for way in ways if way.name == "own" and way.largest == 0.0)
     ways = [way for way in ways if way.largest > 0.0]
 
     def run(sizes: Callable[[Direction], list[float]]) -> None:
@@ -326,9 +334,10 @@ def _directions(scene: Scene, trial: _Trial, own: Array | None) -> tuple[Directi
     for _ in range(ROUNDS):
         run(halfway)
     later = _settles_later(scene, trial, ways)
-    return tuple(
+    found = [
         replace(way, settles_later=settles, error=_error(scene, way)) for way, settles in zip(ways, later, strict=True)
-    )
+    ]
+    return tuple(found), own_limit
 
 
 def _settles_later(scene: Scene, trial: _Trial, ways: list[Direction]) -> list[bool | None]:

@@ -60,6 +60,11 @@ def _sentences(found: LargestStart) -> list[str]:
     if own is None and found.starts_at_goal:
         off = "" if found.home_error < SHOWN else f" to {number(found.home_error)} px"
         words.append(f"The goal image is that from home{off}: the task has no direction (others are tried, empirical).")
+    elif own is None and found.own_limit:
+        words.append(
+            f"No goal in the direction of the task was found that {_LIMITS[found.own_limit]}: this direction was not "
+            "tried."
+        )
     elif own is None:
         words.append(
             "No pose within the region searched has the goal image "
@@ -98,6 +103,8 @@ def _sentences(found: LargestStart) -> list[str]:
 
 def _others(found: LargestStart) -> str:
     others = [d for d in found.directions if d.name != "own"]
+    if not others:
+        return "Along no axis and about none was a possible goal found: none was tried."
     failing = [d for d in others if d.fails_at is not None]
     if not failing:
         return (

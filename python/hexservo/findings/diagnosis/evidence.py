@@ -69,8 +69,11 @@ def _lost_features(case: Case, record: Record, judgement: Judgement) -> Signatur
     if camera.dropout:
         strength = max(strength, min(1.0, 2.0 * camera.dropout))
         period = frame_period(case.scenario)
-        gap = period / (1.0 - camera.dropout) if camera.dropout < 1.0 else np.inf
-        sentences.append(f"Frames arrive every {number(gap)} s on average, instead of every {number(period)} s.")
+        if camera.dropout < 1.0:
+            gap = number(period / (1.0 - camera.dropout))
+            sentences.append(f"Frames arrive every {gap} s on average, instead of every {number(period)} s.")
+        else:
+            sentences.append(f"No frame arrives, instead of one every {number(period)} s.")
     return Signature(strength, " ".join(sentences))
 
 
