@@ -259,6 +259,8 @@ def test_a_base_whose_motion_is_unseen() -> None:
 def test_home_below_the_base_and_a_stroke_beyond_a_leg(paper: hs.Scenario) -> None:
     below = paper.updated({"robot.home_position": [0.0, 0.0, 0.15]})
     assert "puts home below the base" in only(below, "robot.home_position")
+    for gravity in ([9.81, 0.0, 0.0], [0.0, 0.0, 0.0]):  # then z is not vertical
+        assert not [text for text in unlikely(below.updated({"robot.gravity": gravity})) if "below the base" in text]
     shortest = float(np.min(_core.Hexapod(_core.robot_preset("micro")).home_lengths))
     assert only(paper.updated({"robot.stroke": 1.01 * shortest}), "robot.stroke").endswith("at home")
     assert not any(found.startswith("robot.stroke") for found in unlikely(paper.updated({"robot.stroke": shortest})))

@@ -116,7 +116,8 @@ def _of_legs(scene: Scene) -> Iterator[str]:
     sight = scene.settings.camera.in_mount(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0]]))
     in_hand = scene.scenario.camera.mount.on == "platform"  # one on the base looks where its platform hangs
     looks_up = in_hand and upward * float(np.diff(scene.home.carried(sight)[:, 2])[0]) > 0
-    if upward * robot.home_position[2] < 0 and looks_up:  # a platform that hangs has a camera that looks down
+    upright = abs(robot.gravity[2]) > math.hypot(*robot.gravity[:2])
+    if upright and upward * robot.home_position[2] < 0 and looks_up:  # a platform that hangs has a camera that looks down
         above = "negative" if z_down else "positive"
         yield (
             f"robot.home_position: z = {quantity(robot.home_position[2], 'm')} puts home below the base, with a camera "
