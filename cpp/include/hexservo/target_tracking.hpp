@@ -209,9 +209,7 @@ void take_frame(const SafetyGains<S, N>& gains, const ControlTask<S, N>& task, c
       const Vector6<S> one = pose_difference<S>(followed_from(first_end), reading.place),
                        other = pose_difference<S>(followed_from(last_end), reading.place);
       if (directs) {
-        const Vector6<S> off = select(one.squaredNorm() > other.squaredNorm(), one, other);
-        for (int j = 0; j < 3; ++j)
-          for (int i = 0; i < 3; ++i) reading.variance(i, j) += off(i) * off(j);
+        for (int j = 0; j < 3; ++j) reading.variance(j, j) += max(S(one(j) * one(j)), S(other(j) * other(j)));
         return;
       }
       // Of a pose alike along all axes of B: shifts and rotations each.
