@@ -495,7 +495,7 @@ def test_before_the_first_frame_the_image_is_missing(prediction: str) -> None:
     assert hs.Controller(scenario).step(**joints, now=1.0).status == "missing_image"
 
 
-@pytest.mark.parametrize("timeout", [None, 1e5])
+@pytest.mark.parametrize("timeout", [None, 1e3])
 def test_a_clock_that_is_not_in_seconds_is_unusable(timeout: float | None) -> None:
     """More than 100 periods from tick to tick, and not for once: a pause is no other unit. Where a time counts."""
     changes = {"camera.prediction": "none", "camera.timeout": timeout, "sensors.pose": "true"}

@@ -117,7 +117,9 @@ def _of_legs(scene: Scene) -> Iterator[str]:
     in_hand = scene.scenario.camera.mount.on == "platform"  # one on the base looks where its platform hangs
     looks_up = in_hand and upward * float(np.diff(scene.home.carried(sight)[:, 2])[0]) > 0
     upright = abs(robot.gravity[2]) > math.hypot(*robot.gravity[:2])
-    if upright and upward * robot.home_position[2] < 0 and looks_up:  # a platform that hangs has a camera that looks down
+    if (
+        upright and upward * robot.home_position[2] < 0 and looks_up
+    ):  # a platform that hangs has a camera that looks down
         above = "negative" if z_down else "positive"
         yield (
             f"robot.home_position: z = {quantity(robot.home_position[2], 'm')} puts home below the base, with a camera "
