@@ -31,7 +31,7 @@ def moving(velocity: list[float]) -> dict[str, Any]:
     return {"target.motion": {"kind": "velocity", "velocity": velocity}}
 
 
-def at_once(noise: float, points: list[list[float]] | None = None, **gains: float) -> hs.Scenario:
+def at_once(noise: float, points: list[list[float]] | None = None, **gains: Any) -> hs.Scenario:
     """Return it with a reference and legs that go all the way in a tick, and images without delay."""
     return hexapod(
         {
@@ -177,6 +177,20 @@ def test_noise_that_is_half_or_twice_the_assumed_leaves_a_target_at_rest(noise: 
     late = np.sqrt((run.feature_error[run.time > 3.0] ** 2).mean())
     print(f"seed {run.scenario.seed}: {late:.2f} px of {noise:g} px")
     assert late < noise
+
+
+def test_the_command_does_not_jump_before_a_target_at_rest() -> None:
+    """Noise as assumed: residuals that no displacement explains do not make the filter begin again."""
+    scenario = at_once(0.5, acceleration=[5.0, 5.0, 5.0, 0.5, 0.5, 0.5])
+    machine = _core.Hexapod(core_parameters(scenario).robot)
+    home, controller = np.array(machine.home_lengths), hs.Controller(scenario)
+    still, rng, legs = np.asarray(hs.project(scenario, [0.0] * 6)), np.random.default_rng(0), []
+    for _ in range(900):
+        seen = still + 0.5 * rng.standard_normal(8)
+        legs.append(controller.step(seen, np.full(4, -0.5), leg_lengths=home).leg_positions)
+    steps = np.abs(np.diff(legs[300:], axis=0)).max(axis=1)
+    print(f"seed 0: steps of {1e3 * np.median(steps):.3f} mm, at most {1e3 * steps.max():.3f} mm")
+    assert steps.max() < 8.0 * np.median(steps)
 
 
 def test_after_a_gap_the_filter_begins_again() -> None:
