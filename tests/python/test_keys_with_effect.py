@@ -232,6 +232,8 @@ def base_for(short: hs.Scenario, key: str) -> hs.Scenario:
         changes |= {"simulation.mode": "sampled", "actuators.kind": "position"}
         changes |= {"camera.noise": 0.01, "controller.tracking.noise": 0.01}
         changes["target.motion"] = {"kind": "velocity", "velocity": [0.3, 0.0, 0.0]}
+    if key.endswith(".jump"):  # 5.5 times the speed that is expected of a target just seen
+        changes["target.motion"] = {"kind": "velocity", "velocity": [1.1, 0.0, 0.0]}
     if key == "controller.switching.width":
         changes["controller.switching.kind"] = "tanh"
     if key.endswith((".fuzzy.table", ".leakage")):

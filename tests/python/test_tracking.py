@@ -746,7 +746,9 @@ def test_commands_begin_where_legs_are_that_start_beyond_their_stroke() -> None:
     scenario = hs.load_scenario("pi-h824-positions")
     machine, response = _core.Hexapod(core_parameters(scenario).robot), scenario.actuators.position
     assert response.speed_limit is not None
-    fast = response.speed_limit * (0.02 + response.damping / (np.pi * response.bandwidth))  # with the lead
+    w, tick = 2.0 * np.pi * response.bandwidth, 0.02
+    # of a tick in which the reference gets that fast: q* of model.md
+    fast = response.speed_limit * (tick / 2.0 + 2.0 * response.damping / w + 1.0 / (w**2 * tick)) * (1.0 + 1e-9)
     legs = machine.mid_lengths + scenario.robot.stroke + 0.003
     controller, before, fastest = hs.Controller(scenario), legs, 0.0
     for tick in range(20):
