@@ -580,7 +580,7 @@ BASE_MOVES = {  # as far the other way, before a target in the world: the accele
         pytest.param("target_filter", {"certainty": 500.0}, TARGET_MOVES, marks=pytest.mark.slow),
         pytest.param("target_filter", {"noise": 500.0}, TARGET_MOVES, marks=pytest.mark.slow),
         ("target_filter", {"noise": 500.0}, BASE_MOVES),
-        pytest.param("target_filter", {"jump": 1e-3}, TARGET_MOVES, marks=pytest.mark.slow),
+        pytest.param("target_filter", {"acceleration": 1e-3, "jump": 1e3}, TARGET_MOVES, marks=pytest.mark.slow),
     ],
 )
 def test_settings_that_do_not_suit_the_target_are_diagnosed(
