@@ -20,10 +20,10 @@ def connect(
     stack: contextlib.ExitStack, options: argparse.Namespace, scenario: hs.Scenario, clock: Clock, _: threading.Event
 ) -> Machine:
     """Connect to the head, a simulated one if asked for."""
-    port, points = options.port, len(scenario.target.desired_features or ()) // 2
+    port, points = options.port, scenario.target.count
     if options.simulated:
         simulated = SimulatedMachine(simulated_scenario(), DRIVES, clock, WATCHDOG)
-        taken = len(simulated.scenario.target.desired_features or ()) // 2
+        taken = simulated.scenario.target.count
         if points != taken:
             raise Stop(f"target: expected {taken} points, those in the simulated head's images, got {points}")
         port = stack.enter_context(head_server(simulated)).port
