@@ -82,6 +82,17 @@ Vector6<S> feasible_rates(const SafetyGains<S, N>& gains, Vector6<S> rates, cons
   return rates;
 }
 
+/// Commands of legs, none of which leaves its stroke, or goes further where it is commanded beyond [m].
+/// @param held what each leg is commanded so far [m]
+template <class S>
+Vector6<S> within_stroke(const Hexapod<S>& hexapod, const Vector6<S>& held, Vector6<S> command) noexcept {
+  for (int i = 0; i < 6; ++i) {
+    const S low = hexapod.mid_lengths(i) - hexapod.stroke, high = hexapod.mid_lengths(i) + hexapod.stroke;
+    command(i) = clip(command(i), min(low, held(i)), max(high, held(i)));
+  }
+  return command;
+}
+
 /// The estimated platform after a period under a law's wrench.
 /// @param net the wrench without what carries the weight [N; N m]
 template <class S>
@@ -158,20 +169,16 @@ template <class S, int N>
   const Mask<S> as_it_moves = out.acts & (!limited) & Mask<S>(!law.massless);
   pose = select_pose(as_it_moves, pose, as_legs_can);
 
-  Vector6<S> target = inverse_kinematics(gains.legs, pose.position, rotation_matrix(pose.quaternion)).lengths.vector();
+  const Vector6<S> target =
+      inverse_kinematics(gains.legs, pose.position, rotation_matrix(pose.quaternion)).lengths.vector();
   const Mask<S> reachable = motion.begun & is_finite(S(target.sum())) & is_finite(S(twist.sum()));
   twist = select(reachable, twist, Vector6<S>(Vector6<S>::Zero()));
   out.saturated = out.acts & (limited | (!reachable));
   out.wrench =
       wrench_of_motion(gains.body, R_BE, motion.twist, Vector6<S>((twist - motion.twist) * (S(1.0) / S(gains.period))));
   out.leg_forces = solver.leg_forces(out.wrench);
-  for (int i = 0; i < 6; ++i) {  // none leaves its stroke, or goes further where it started beyond
-    const S low = gains.hexapod.mid_lengths(i) - gains.hexapod.stroke;
-    const S high = gains.hexapod.mid_lengths(i) + gains.hexapod.stroke;
-    target(i) = clip(target(i), min(low, motion.legs(i)), max(high, motion.legs(i)));
-  }
   motion.twist = twist;
-  motion.legs = select(reachable, target, motion.legs);
+  motion.legs = select(reachable, within_stroke(gains.hexapod, motion.legs, target), motion.legs);
   motion.pose = select_pose(reachable, pose, motion.pose);
 }
 

@@ -380,16 +380,13 @@ template <class S, int N>
                      state.behind(i) + state.offset(i);
     const S change = seen_lengths(i) - state.reading(i);
     const S acted_on = seen_lengths(i) + S(plan.delay + 0.5) * select(is_finite(change), change, S(0.0));
-    const S near_legs = select(corrected, clip(wanted, S(acted_on - plan.reach), S(acted_on + plan.reach)), wanted);
+    command(i) = select(corrected, clip(wanted, S(acted_on - plan.reach), S(acted_on + plan.reach)), wanted);
     state.reading(i) = select(sensed, seen_lengths(i), state.reading(i));
-    const S low = gains.hexapod.mid_lengths(i) - gains.hexapod.stroke;
-    const S high = gains.hexapod.mid_lengths(i) + gains.hexapod.stroke;
-    command(i) = clip(near_legs, min(low, motion.legs(i)), max(high, motion.legs(i)));
   }
   out.wrench = wrench_of_motion(gains.body, R_BE, motion.twist, Vector6<S>((twist - motion.twist) * (S(1.0) / period)));
   out.leg_forces = solver.leg_forces(out.wrench);
   motion.twist = twist;
-  motion.legs = select(reachable, command, motion.legs);
+  motion.legs = select(reachable, within_stroke(gains.hexapod, motion.legs, command), motion.legs);
   motion.pose = select_pose<S>(reachable, next, motion.pose);
 }
 

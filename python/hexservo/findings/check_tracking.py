@@ -109,7 +109,7 @@ class SteadyFilter:
     @property
     def off_line(self) -> float:
         """Return the standard deviations of the place of a pose at which the filter leaves the line (`all_within`)."""
-        return math.sqrt(5.0**2 + 2.5 * self.axes)
+        return 5.0 * math.sqrt(1.0 + 2.5 * self.axes / (5.0**2 + 2.0))
 
     def in_deviations(self, vectors: Array, deviations: Array) -> Array:
         """Return the lengths of translations (k, 3) in standard deviations (n,) along the modes, (k,)."""
