@@ -328,10 +328,10 @@ def _kept(folder: str | None) -> str:
 
 
 def _report(result: hs.Result, elapsed: float, folder: str | None, *, hint: bool) -> Iterator[RenderableType]:
-    """Print the outcome of a run, its metrics, why its law did not act, exceeded limits, and the place of its files."""
+    """Print the outcome of a run, its metrics, what they do not show, exceeded limits, and the place of its files."""
     from rich.text import Text
 
-    from hexservo.run.summary import singular_passage_sentence, without_image
+    from hexservo.run.summary import goal_distance_sentence, singular_passage_sentence, without_image
 
     name = result.scenario.name
     if result.outcome == "completed":
@@ -341,6 +341,8 @@ def _report(result: hs.Result, elapsed: float, folder: str | None, *, hint: bool
     yield _metrics_table(result)
     if (unseen := without_image(result)) is not None:
         yield Text(unseen, style="yellow")
+    if (far := goal_distance_sentence(result, if_hidden=True)) is not None:
+        yield Text(far, style="yellow")
     if result.events:
         yield Text("\n".join(f"limit exceeded: {event}" for event in result.events), style="yellow")
     if (passage := singular_passage_sentence(result)) is not None:

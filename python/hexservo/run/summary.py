@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hexservo.run.goal_distance import goal_distance
 from hexservo.run.leg_limits import leg_limits
 from hexservo.run.leg_motion import singular_passage
 from hexservo.run.metrics import left_and_band, metrics, shown_number, unsettled
@@ -15,6 +16,9 @@ from hexservo.scenario.wording import apart, number, percent_above, percent_belo
 
 if TYPE_CHECKING:
     from hexservo.run.result import Result
+
+
+_HIDDEN = 0.1  # of what a displacement would move the image by on its own; below it, it is weakly constrained
 
 
 def summary_sentences(result: Result) -> list[str]:
@@ -28,6 +32,7 @@ def summary_sentences(result: Result) -> list[str]:
         *([] if unseen is None else [unseen]),
         _settling(result),
         _residual(result),
+        *([] if (far := goal_distance_sentence(result)) is None else [far]),
         *_legs(result),
     ]
 
@@ -88,6 +93,29 @@ def _residual(result: Result) -> str:
     if rms == rms:
         text += f"; from {result.scenario.metrics.rms_start:g} s on their RMS is {shown_number(rms, 'px')} px"
     return text.replace("<", "less than ") + "."
+
+
+def goal_distance_sentence(result: Result, *, if_hidden: bool = False) -> str | None:
+    """Return `goal_distance` as a sentence; None where it has no meaning.
+
+    Parameters
+    ----------
+    result
+        The run.
+    if_hidden
+        Only where shift or angle on its own would take the image out of `metrics.band`, and the image error is less
+        than a tenth of that motion.
+    """
+    found = goal_distance(result)
+    if found is None:
+        return None
+    hidden = metrics(result)["final_error"] < _HIDDEN * found.motion
+    if if_hidden and not (hidden and found.motion > result.scenario.metrics.band):
+        return None
+    ways = ((found.shift, "m"), (found.angle, "rad"))
+    shift, angle = (f"less than 1 n{unit}" if value < 1e-9 else quantity(value, unit) for value, unit in ways)
+    words = f"At the end the platform is {shift} and {angle} from the pose with the goal image"
+    return f"{words}, a displacement that the image constrains only weakly." if hidden else f"{words}."
 
 
 def _legs(result: Result) -> list[str]:

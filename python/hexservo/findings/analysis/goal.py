@@ -9,10 +9,10 @@ import numpy as np
 
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene, View
+from hexservo.run.goal_distance import INEXACT
 from hexservo.scenario.arrays import Array
 
 SHOWN = 1e-6  # [px], an image this close to the goal is the goal but for rounding
-INEXACT = 0.5  # [px], as far as ordinary noise takes a goal image that was measured from the image of its pose
 TOLERANCE = 0.1  # [px], how far the nearest pose may leave a feature from what the best pose reaches
 
 _STEP = 0.3  # longest step of a search, in mean depths and radians: keeps it where the image is nearly what it was

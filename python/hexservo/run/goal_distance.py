@@ -1,0 +1,68 @@
+"""How far a run ends from a pose with the goal image, of which a small image error is no measure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hexservo.run.probe import probe
+from hexservo.run.samples import rotation_vectors
+from hexservo.scenario.motion import moves
+from hexservo.scenario.parameters import core_parameters
+from hexservo.scenario.rotations import quaternion_product
+
+if TYPE_CHECKING:
+    from hexservo.run.result import Result
+
+INEXACT = 0.5  # [px], as far as ordinary noise takes a goal image that was measured from the image of its pose
+
+_FEWEST = 4  # points whose image belongs to one pose
+
+
+@dataclass(frozen=True)
+class GoalDistance:
+    """From a pose with the goal image to where a run ends."""
+
+    shift: float  # [m]
+    angle: float  # [rad]
+    motion: float  # by which shift and angle, each on its own, move points before the camera [px]; the larger
+
+
+def goal_distance(result: Result) -> GoalDistance | None:
+    """Return how far the platform is at the end from a pose with the goal image.
+
+    Of the minima that the core's search from home finds, and whose features are at most 0.5 px and `metrics.band` from
+    their goals, that of the least image motion is meant: shift over the points' mean depth, and angle. A target whose
+    points are near one another looks nearly alike after a shift and a rotation that cancel in its image.
+
+    Returns
+    -------
+        None where no such pose is found or meant: a camera as printed, three points (of which up to four poses have one
+        image), a goal that moves in B, a law that follows a direction, and a run that ended early.
+    """
+    scenario = result.scenario
+    target, law = scenario.target, scenario.controller
+    at_rest = target.motion.kind == "none" and not (target.frame == "world" and moves(scenario.base_motion))
+    directed = result.by_law and law.traits.output == "pose" and law.tracking.follow == "direction"
+    unknown = scenario.camera.convention != "eye_in_hand" or target.count < _FEWEST
+    if result.outcome != "completed" or unknown or not at_rest or directed:
+        return None
+    parts = probe(scenario)
+    position, quaternion = parts.goal_minima()
+    if not len(position):
+        return None
+    features, _ = parts.image(position, quaternion)
+    desired = result.features[-1] + result.feature_error[-1]
+    shown = np.abs(features - desired).max(axis=1) <= min(scenario.metrics.band, INEXACT)
+    if not shown.any():
+        return None
+    shift = np.linalg.norm(result.position[-1] - position[shown], axis=1)
+    inverse = quaternion[shown] * [1.0, -1.0, -1.0, -1.0]
+    turns = [quaternion_product(result.quaternion[-1:], each[None])[0] for each in inverse]
+    angle = np.linalg.norm(rotation_vectors(np.array(turns)), axis=1)
+    seen = shift / np.abs(result.depth[-1]).mean()
+    nearest = int(np.argmin(np.hypot(seen, angle)))
+    motion = float(np.max(core_parameters(scenario).camera.focal_pixels)) * max(seen[nearest], angle[nearest])
+    return GoalDistance(float(shift[nearest]), float(angle[nearest]), float(motion))

@@ -1,0 +1,92 @@
+"""How far a run ends from the pose with the goal image."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
+
+import hexservo as hs
+from hexservo.cli.commands import app
+from hexservo.run.goal_distance import goal_distance
+from hexservo.run.summary import goal_distance_sentence, summary_sentences
+from test_coupled_noise import small_tag
+
+ASKED = [0.02, 0.0, 0.0, 0.0, 0.1, 0.0]  # [m; rad]
+SHORT = {"simulation.duration": 0.02}
+
+
+def tag_at(asked: list[float], **changes: Any) -> hs.Result:
+    still = {"camera.noise": 0.0, "robot.stroke": 0.03, "target.desired_pose": asked}
+    return hs.simulate(small_tag({**still, **{key.replace("__", "."): value for key, value in changes.items()}}))
+
+
+def test_the_distance_is_from_the_pose_that_was_asked_for() -> None:
+    """The scenario keeps its image alone: its pose is found again, and the rest is SciPy's rotation."""
+    result = tag_at(ASKED)
+    found = goal_distance(result)
+    assert found is not None
+    shift = result.position[-1] - result.scenario.robot.home_position - np.array(ASKED[:3])
+    turn = Rotation.from_quat(result.quaternion[-1], scalar_first=True) * Rotation.from_rotvec(ASKED[3:]).inv()
+    assert found.shift == pytest.approx(np.linalg.norm(shift), rel=1e-6)
+    assert found.angle == pytest.approx(turn.magnitude(), rel=1e-6)
+    assert found.shift > 1e-3
+
+
+def test_a_law_without_prior_reaches_it() -> None:
+    found = goal_distance(tag_at(ASKED, controller__composite__prior=[0.0] * 6, simulation__duration=20.0))
+    assert found is not None
+    assert found.shift < 1e-6
+    assert found.angle < 1e-5
+
+
+def test_the_summary_of_a_settled_run_states_the_distance() -> None:
+    result = tag_at(ASKED)
+    found = goal_distance(result)
+    assert found is not None
+    assert hs.metrics(result)["settling_time"] > 0.0
+    sentence = goal_distance_sentence(result, if_hidden=True)
+    assert sentence is not None
+    assert sentence in summary_sentences(result)
+    assert (
+        f"is {1e3 * found.shift:.3g} mm and {1e3 * found.angle:.3g} mrad from the pose with the goal image" in sentence
+    )
+    assert sentence.endswith(", a displacement that the image constrains only weakly.")
+
+
+def test_where_the_image_shows_the_distance_the_summary_alone_has_it() -> None:
+    result = hs.simulate(hs.load_scenario("task-translation"))
+    assert goal_distance_sentence(result, if_hidden=True) is None
+    assert goal_distance_sentence(result) in summary_sentences(result)
+
+
+@pytest.mark.parametrize("name", ["paper", "textbook-translation"])
+def test_the_command_states_it_where_it_is_hidden(name: str) -> None:
+    done = CliRunner().invoke(app, ["run", name])
+    assert done.exit_code == 0
+    assert ("from the pose with the goal image" in done.output) == (name == "paper")
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("paper", {"camera.convention": "as_printed", "controller.law": "hybrid"}),
+        ("fails-coarse-step", {}),
+        ("reachy-mini-motors", SHORT),  # follows a direction
+        ("pi-h824-positions", {"target.motion": {"kind": "velocity", "velocity": [1e-3, 0.0, 0.0]}, **SHORT}),
+        ("rough-road", {"target.frame": "world", **SHORT}),
+    ],
+)
+def test_nothing_is_stated_where_no_pose_is_meant(name: str, changes: dict[str, Any]) -> None:
+    result = hs.simulate(hs.load_scenario(name).updated(changes))
+    assert goal_distance(result) is None
+    assert not any("goal image" in sentence for sentence in summary_sentences(result))
+
+
+def test_three_points_have_up_to_four_poses_with_one_image() -> None:
+    points = {"tag": None, "points": [[0.02, 0.0, -0.435], [-0.02, 0.01, -0.43], [0.0, -0.02, -0.44]]}
+    scenario = small_tag({"target": {**points, "desired_pose": ASKED}, "robot.stroke": 0.03, **SHORT})
+    assert goal_distance(hs.simulate(scenario)) is None
