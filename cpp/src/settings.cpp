@@ -226,7 +226,7 @@ FrameSettings<double> frame_settings(const CameraSettings& camera, double late, 
     refuse("uncertainty.latency", "0 where camera.latency_known is false: no latency is assumed there", words(late));
   frames.early = (late < 0.0 ? -1 : 1) * ticks("uncertainty.latency", std::abs(late), period, 0);
   if (frames.early < -frames.latency)
-    refuse("uncertainty.latency", words("at least -", camera.latency, " s, so that none below 0 is assumed"),
+    refuse("uncertainty.latency", words("at least ", 0.0 - camera.latency, " s, so that none below 0 is assumed"),
            words(late));
   if (camera.smoothing > 0.0) frames.kept = std::exp(-static_cast<double>(frames.period) * period / camera.smoothing);
   // In ticks, since the sum of three rounded times may be more than a timeout that equals it; infinite: never too old.

@@ -23,7 +23,8 @@ def test_numbers_become_floats(given: Any) -> None:
 @pytest.mark.parametrize(
     "given",
     [
-        True, np.bool_(False), [True, False], np.ones(6, dtype=bool), np.array([1.5, True], dtype=object),
+        True, np.bool_(False), [True, False], [True, 0.5], [[0.0], (np.bool_(True),)],
+        np.ones(6, dtype=bool), np.array([1.5, True], dtype=object),
         "1", ["1"], 1j, None, [[1.0], [1.0, 2.0]], np.ma.array([1.0], mask=[True]), 10**400,
     ],
 )  # fmt: skip

@@ -19,7 +19,7 @@ def real_numbers(given: Any) -> Array | None:
     None for text, booleans, complex, ragged and masked ones: NumPy itself takes the text "1" and True for 1, the real
     part of a complex number, and what is under a mask.
     """
-    if np.ma.is_masked(given):
+    if np.ma.is_masked(given) or _holds_boolean(given):
         return None
     try:
         found = np.asarray(given)
@@ -28,6 +28,13 @@ def real_numbers(given: Any) -> Array | None:
         return found.astype(float) if found.dtype.kind in "iufO" else None
     except (TypeError, ValueError, OverflowError):  # ragged, or an integer beyond the floats
         return None
+
+
+def _holds_boolean(given: Any) -> bool:
+    """Return whether lists hold one among numbers, which NumPy would make 0 or 1."""
+    if isinstance(given, list | tuple):
+        return any(_holds_boolean(item) for item in given)
+    return isinstance(given, bool | np.bool_)
 
 
 def _is_number(item: object) -> bool:
