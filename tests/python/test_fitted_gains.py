@@ -286,6 +286,35 @@ def test_a_scaled_machine_runs_the_same_dimensionless_loop(paper: hs.Scenario, l
     np.testing.assert_allclose(other.features, one.features, atol=1e-9)
 
 
+@pytest.mark.parametrize("law", ["composite", "pbvs"])
+def test_the_safe_output_before_the_first_image_has_its_own_time(paper: hs.Scenario, law: str) -> None:
+    """With a latency and an unknown weight: masses and lengths may change, times with gains that are written."""
+    changes: dict[str, Any] = {
+        "simulation": {"mode": "sampled", "duration": 0.5},
+        "controller.switching.kind": "implicit",
+        "uncertainty.gravity": 0.075,
+    }
+    turned = np.repeat([0.0, 1.0], 3)
+
+    def run(mass: float, length: float, time: float, **safe: float) -> Array:
+        camera = {"camera.period": 0.02 * time, "camera.latency": 0.06 * time}
+        base = with_auto(paper, law, 2.0, **changes)
+        other = scaled(base, mass, length, time, **camera)
+        powers = {"damping": 1, "hold": 2}
+        written = {
+            f"controller.safe.{key}": (value * mass * length ** (2 * turned) / time ** powers[key]).tolist()
+            for key, value in safe.items()
+        }
+        return np.asarray(hs.simulate(other.updated(written)).features)
+
+    one = run(1.0, 1.0, 1.0)
+    np.testing.assert_array_equal(run(2.0**14, 4.0, 1.0), one)
+    for time in (0.5, 2.0):
+        assert 1e-3 < np.abs(run(1.0, 1.0, time) - one).max() < 0.1  # px
+    safe = {"damping": 0.5, "hold": 5.0}
+    np.testing.assert_array_equal(run(8.0, 4.0, 2.0, **safe), run(1.0, 1.0, 1.0, **safe))
+
+
 @pytest.mark.parametrize("follow", ["pose", "direction"])
 def test_the_target_of_tracking_keeps_its_agility_where_the_machine_is_faster(paper: hs.Scenario, follow: str) -> None:
     """sigma_a and sigma_v scale with lengths, and not with times: written for the other time, the loop is the same."""
