@@ -94,7 +94,8 @@ def test_the_weight_is_shared_by_the_legs(paper: hs.Scenario) -> None:
         heavy = {"uncertainty.gravity": delta}
         tight = paper.updated({**heavy, "robot.force_limit": 0.999 * share})
         assert "needs to carry the platform's weight at home" in only(tight, "robot.force_limit")
-        assert not unlikely(paper.updated({**heavy, "robot.force_limit": 1.001 * share}))
+        carried = paper.updated({**heavy, "robot.force_limit": 1.001 * share})
+        assert not any(sentence.startswith("robot.force_limit") for sentence in unlikely(carried))
 
 
 @pytest.mark.parametrize(

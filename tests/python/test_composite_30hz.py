@@ -93,6 +93,15 @@ def test_a_single_run_agrees(scenario: hs.Scenario, report: corners.Report) -> N
     assert max(run["peak_leg_force"] for run in noisy) <= report.corners["force"][row] * (1 + 1e-6)
 
 
+def test_the_readme_has_the_worst_corners_of_the_model() -> None:
+    page = (ROOT / "docs" / "model.md").read_text(encoding="utf-8")
+    (rows,) = (rows for head, rows in tables_in(page) if head[1:] == ["required", "worst corner", "of the limit"])
+    worst = {row[0]: row[2] for row in rows}
+    keys = "settling time, without noise", "RMS error, t ≥ 1 s, median of 20 seeds", "largest leg stroke, all seeds"
+    stated = "at most {}, RMS {}, {} of stroke".format(*(worst[key] for key in keys))
+    assert stated in (ROOT / "README.md").read_text(encoding="utf-8")
+
+
 def test_the_eigenvalue_is_the_known_one() -> None:
     """The defaults of the law have 0.0055 at home at 30 %, and a negative one without the prior."""
     defaults = hs.load_scenario("paper-composite")

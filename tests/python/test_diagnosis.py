@@ -108,6 +108,9 @@ def test_the_face_tracking_of_a_head_fails_by_two_causes_together() -> None:
     assert diagnosis.failed
     assert diagnosis.named == ()
     assert set(diagnosis.together) == {"image_smoothing", "latency_error"}
+    others = [line for line in diagnosis.section().sentences if line.startswith("The run also passes with")]
+    assert others
+    assert not any(removal in line for line in others for removal in ("not smoothed", "latency that the camera has"))
 
 
 def test_the_face_tracking_of_a_head_overshoots_as_its_file_states() -> None:
@@ -1129,6 +1132,10 @@ def test_causes_that_fail_only_together_are_named_together() -> None:
     diagnosis = hs.diagnose(hs.simulate(scenario))
     assert not diagnosis.named
     assert set(diagnosis.together) == {"gravity", "brake"}
+    two = [one.without.words for one in diagnosis.causes if one.cause in diagnosis.together and one.without]
+    assert len(two) == 2
+    others = [line for line in diagnosis.section().sentences if line.startswith("The run also passes with")]
+    assert not any(words in line for words in two for line in others)
     for finding in diagnosis.causes:
         if finding.cause in diagnosis.together:
             assert finding.without is not None

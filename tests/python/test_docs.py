@@ -9,6 +9,7 @@ import ast
 import itertools
 import re
 from collections.abc import Iterator
+from fnmatch import fnmatch
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -475,6 +476,15 @@ def cited_sections(text: str, page: str) -> set[int]:
         for first, last in re.findall(r"(\d+)\s*(?:to|-)\s*(\d+)", match[1]):
             cited.update(range(int(first), int(last) + 1))
     return cited
+
+
+def test_the_list_of_packaged_scenarios_names_all_of_them() -> None:
+    page = (ROOT / "docs" / "scenarios.md").read_text(encoding="utf-8")
+    part = page.partition("The packaged scenarios are:")[2].partition("`hexservo scenarios` lists them")[0]
+    named = [name.replace("...", "*") for name in re.findall(r"`([\w.-]+)`", part)]
+    files = [path.stem for path in (ROOT / "python" / "hexservo" / "scenarios").glob("*.yaml")]
+    assert len(files) > 40
+    assert [one for one in files if not any(fnmatch(one, name) for name in named)] == []
 
 
 def test_citations_are_read_in_all_their_forms() -> None:

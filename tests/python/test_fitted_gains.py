@@ -17,7 +17,7 @@ from fitted_machines import BAND, MODES, SEED, STARTS, Array, Row, draw, image, 
 from hexservo.cli.commands import app
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check import unlikely
-from hexservo.findings.check_gains import image_delay, smoothing_lag, start_forces
+from hexservo.findings.check_gains import image_delay, of_gains, smoothing_lag, start_forces
 from hexservo.findings.check_keys import keys_without_effect
 from hexservo.run.export import gains_header
 from hexservo.scenario.fitted import chosen_keys, fitted_keys, gains_written, machine_of
@@ -286,6 +286,35 @@ def test_a_scaled_machine_runs_the_same_dimensionless_loop(paper: hs.Scenario, l
     np.testing.assert_allclose(other.features, one.features, atol=1e-9)
 
 
+@pytest.mark.parametrize("law", ["composite", "pbvs"])
+def test_the_safe_output_before_the_first_image_has_its_own_time(paper: hs.Scenario, law: str) -> None:
+    """With a latency and an unknown weight: masses and lengths may change, times with gains that are written."""
+    changes: dict[str, Any] = {
+        "simulation": {"mode": "sampled", "duration": 0.5},
+        "controller.switching.kind": "implicit",
+        "uncertainty.gravity": 0.075,
+    }
+    turned = np.repeat([0.0, 1.0], 3)
+
+    def run(mass: float, length: float, time: float, **safe: float) -> Array:
+        camera = {"camera.period": 0.02 * time, "camera.latency": 0.06 * time}
+        base = with_auto(paper, law, 2.0, **changes)
+        other = scaled(base, mass, length, time, **camera)
+        powers = {"damping": 1, "hold": 2}
+        written = {
+            f"controller.safe.{key}": (value * mass * length ** (2 * turned) / time ** powers[key]).tolist()
+            for key, value in safe.items()
+        }
+        return np.asarray(hs.simulate(other.updated(written)).features)
+
+    one = run(1.0, 1.0, 1.0)
+    np.testing.assert_array_equal(run(2.0**14, 4.0, 1.0), one)
+    for time in (0.5, 2.0):
+        assert 1e-3 < np.abs(run(1.0, 1.0, time) - one).max() < 0.1  # px
+    safe = {"damping": 0.5, "hold": 5.0}
+    np.testing.assert_array_equal(run(8.0, 4.0, 2.0, **safe), run(1.0, 1.0, 1.0, **safe))
+
+
 @pytest.mark.parametrize("follow", ["pose", "direction"])
 def test_the_target_of_tracking_keeps_its_agility_where_the_machine_is_faster(paper: hs.Scenario, follow: str) -> None:
     """sigma_a and sigma_v scale with lengths, and not with times: written for the other time, the loop is the same."""
@@ -452,6 +481,46 @@ def test_the_force_at_the_start_is_that_of_a_run(paper: hs.Scenario) -> None:
             assert bool(warnings_of(with_auto(paper, law, factor * most), f"controller.{law}.auto")) == expected
     heavy = with_auto(paper, "kelly", 4.0).updated({"robot.force_limit": 0.1})
     assert "do not carry the weight" in warnings_of(heavy)[0]
+
+
+@pytest.mark.parametrize("written", [{}, {"stiffer": 2.0}, {"auto.bandwidth": 4.0, "stiffer": 2.0}], ids=str)
+@pytest.mark.parametrize("law", LAWS)
+def test_gains_that_the_legs_do_not_allow_are_warned_of(
+    paper: hs.Scenario, law: str, written: dict[str, float]
+) -> None:
+    """Defaults, written gains, and some of both: the force of the law at the start, as in a run."""
+    changes: dict[str, Any] = {f"controller.{law}.{key}": value for key, value in written.items() if key != "stiffer"}
+    if "stiffer" in written:
+        key = f"controller.{law}.{'gain' if law == 'resolved_rate' else 'kp'}"
+        changes[key] = (written["stiffer"] * np.array(default_of(key))).tolist()
+    base = paper.updated({"controller.law": law, "simulation.duration": 0.01, **changes})
+    most = float(np.abs(hs.simulate(base).leg_forces[0]).max())
+
+    def found(**others: Any) -> list[str]:
+        scenario = base.updated({key.replace("__", "."): value for key, value in others.items()})
+        return [sentence for sentence in of_gains(scene_of(scenario), None) if ": the law needs" in sentence]
+
+    (sentence,) = found(robot__force_limit=0.999 * most)
+    assert sentence.startswith(f"controller.{law}: the law needs {1e3 * most:.3g} mN of leg")
+    assert sentence.endswith(f"; controller.{law}.auto.bandwidth fits its gains to the machine")
+    assert not found(robot__force_limit=1.001 * most)
+    assert not found(robot__force_limit=0.1)  # less than the weight
+    limited = {"simulation__mode": "sampled", "actuators__saturation": True, "controller__switching__kind": "sign"}
+    assert not found(robot__force_limit=0.999 * most, **limited)
+
+
+def test_a_bound_that_is_named_holds(paper: hs.Scenario) -> None:
+    """The bandwidth and its bound are both 1.57 Hz in three digits."""
+    changes = {"simulation.mode": "sampled", "camera.period": 0.02, "camera.latency": 0.09}
+    delay = image_delay(with_auto(paper, "pbvs", 1.0, **changes))
+    changes["controller.pbvs.auto.damping"] = 1.5655 * 2.0 * math.pi * delay
+    for bandwidth in (1.57, 1.5656):
+        (sentence,) = warnings_of(with_auto(paper, "pbvs", bandwidth, **changes))
+        assert sentence.startswith("controller.pbvs.auto.bandwidth: 1.57 Hz is above 1.56 Hz, where")
+    assert not warnings_of(with_auto(paper, "pbvs", 1.56, **changes))
+    brief = with_auto(paper, "pbvs", 1.9996, **{"simulation.duration": 0.05})
+    (sentence,) = warnings_of(brief)
+    assert sentence.startswith("controller.pbvs.auto.bandwidth: 1.9996 Hz is below 2 Hz, a tenth")
 
 
 def test_a_late_image_takes_damping_away(paper: hs.Scenario) -> None:

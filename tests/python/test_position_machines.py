@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -795,6 +796,19 @@ GCS_FAULTS: dict[str, tuple[bytes, bytes | None, str]] = {
     "no error": (b"ERR?", b"none\n", "ERR?: expected a number"),
     "late": (b"POS?", positions() + b"0\n", "sent what was not asked for"),
 }
+
+
+def test_the_pages_count_the_faults() -> None:
+    docs = ROOT / "docs"
+    stated = re.search(
+        r": (\d+) faults of the other side.*?The same for (\d+) of",
+        (docs / "position-machines.md").read_text("utf-8"),
+        re.DOTALL,
+    )
+    assert stated
+    assert [int(count) for count in stated.groups()] == [len(FAULTS), len(GCS_FAULTS)]
+    every = len(FAULTS) + len(GCS_FAULTS)
+    assert f"| {every} of {every} faults |" in (docs / "claims.md").read_text("utf-8")
 
 
 @pytest.mark.parametrize("fault", GCS_FAULTS)

@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+import hexservo as hs
+from hexservo.findings.check import unlikely
 from test_docs import ROOT
 
 PAGE = ROOT / "docs" / "position-machines.md"
@@ -57,6 +59,12 @@ def test_commands_of_the_page_run(tmp_path: Path) -> None:
         else:
             for line in text.splitlines():
                 assert any(alike(line, row) for row in printed), "\n".join(["not printed:", line, "printed:", *printed])
+    written = re.findall(r"(?:warns above|ends on purpose below) (\d\.\d\d)\b", PAGE.read_text(encoding="utf-8"))
+    assert len(written) == 2
+    for bound in written:
+        for bandwidth, warned in ((float(bound), False), (float(bound) + 0.01, True)):
+            head = hs.load_scenario(tmp_path / "head.yaml", {"controller.pbvs.auto.bandwidth": bandwidth})
+            assert any("takes half of the damping away" in line for line in unlikely(head)) == warned
 
 
 def test_numbers_are_compared_with_a_tolerance() -> None:

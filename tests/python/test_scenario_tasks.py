@@ -181,3 +181,26 @@ def test_machines_as_they_are_built_settle(name: str) -> None:
         assert batch.metrics["peak_leg_force"].max() <= scenario.robot.force_limit
     if name == "saturation":
         assert batch.metrics["peak_leg_force"].max() == scenario.robot.force_limit
+
+
+@pytest.mark.parametrize("name", [name for name in GOALS if name != "textbook-half-turn"])
+def test_half_and_twice_the_step_change_little(name: str) -> None:
+    """docs/compare.md, section 4: 2 ms, 0.02 px, and excursions to 1e-3 (rounded; others round otherwise)."""
+    scenario = hs.load_scenario(name)
+    step = scenario.simulation.step
+    half, once, twice = (
+        hs.metrics(hs.simulate(scenario.updated({"simulation.step": step * factor}))) for factor in (0.5, 1.0, 2.0)
+    )
+    for other in (half, twice):
+        assert other["settling_time"] == pytest.approx(once["settling_time"], abs=2e-3 + 1e-9)
+        assert other["final_error"] == pytest.approx(once["final_error"], abs=0.02)
+        for key in ("peak_displacement", "peak_leg_excursion"):
+            assert other[key] == pytest.approx(once[key], rel=1.5e-3)
+
+
+def test_the_table_of_sampled_scenarios_has_the_road_of_the_scenario() -> None:
+    numbers = re.findall(r"\d\.\d+", hs.load_scenario("rough-road").description)
+    page = (ROOT / "docs" / "compare.md").read_text(encoding="utf-8")
+    (row,) = (line for line in page.splitlines() if line.startswith("| `rough-road`"))
+    assert len(numbers) == 4
+    assert re.findall(r"\d\.\d+", row)[:4] == numbers

@@ -87,6 +87,7 @@ def test_it_settles_without_a_warning_but_of_a_high_load(name: str) -> None:
     coupled = [line for line in unlikely(scenario) if "the inertia couples the axes" in line]
     assert unlikely(scenario) == coupled
     assert len(coupled) == (name == "moog-6dof2000e")  # docs/your-machine.md
+    assert len(lines_with(README, "settle without a warning but one")) == 1
     assert keys_without_effect(scenario) == []
     result = hs.simulate(scenario)
     metrics = hs.metrics(result)
@@ -101,6 +102,23 @@ def test_it_settles_without_a_warning_but_of_a_high_load(name: str) -> None:
         stated = f"{metrics['settling_time']:.2f} s"
         assert [stated in line for line in lines_with(GUIDE, f"| `{name}` |.* Hz |")] == [True]
         assert [stated in line for line in lines_with(README, "Your machine from its data sheet: four")] == [True]
+
+
+def test_the_law_that_is_proposed_for_a_high_load_stays_within_the_force_limit() -> None:
+    """With its default gains, those of another machine, it settles with forces of 2.6 times the limit."""
+    scenario = hs.load_scenario("moog-6dof2000e").updated({"simulation.duration": 2.0, "metrics.rms_start": 1.0})
+    (sentence,) = unlikely(scenario)
+    key, bandwidth = re.findall(r"; computed_torque with (\S+): (\S+) takes the coupling out$", sentence)[0]
+    law = scenario.updated({"controller.law": "computed_torque"})
+    proposed = law.updated({key: float(bandwidth)})
+    assert unlikely(proposed) == []
+    found = hs.simulate(proposed)
+    assert found.events == ()
+    stated = f"after {hs.metrics(found)['settling_time']:.2f} s in place of 2.15 s"
+    (line,) = lines_with(GUIDE, f"`{key}: {bandwidth}`.*")
+    assert stated in line
+    assert [sentence.split(" needs")[0] for sentence in unlikely(law)] == ["controller.computed_torque: the law"]
+    assert {(event.leg, event.limit) for event in hs.simulate(law).events} == {(n, 8000.0) for n in (1, 3, 4)}
 
 
 def lines_with(page: Path, words: str) -> list[str]:

@@ -22,7 +22,7 @@ from hexservo.scenario.laws import LAWS
 from hexservo.scenario.parameters import frame_period, image_age
 from hexservo.scenario.pixels import feature_noise
 from hexservo.scenario.scenario import Scenario
-from hexservo.scenario.wording import number, quantity
+from hexservo.scenario.wording import apart, below, number, quantity
 
 _OF_SERVO_RATE = 0.25  # share of it that a bandwidth may have
 _OF_RUN = 0.1  # periods of the bandwidth that a run must have at least
@@ -57,20 +57,25 @@ def of_gains(scene: Scene, fastest: float | None) -> Iterator[str]:
     auto = auto_of(scenario)
     law = scenario.controller.law
     if auto.bandwidth is not None and len(chosen_keys(scenario)) < len(fitted_keys(law)):
-        key = f"controller.{law}.auto.bandwidth: {number(auto.bandwidth)} Hz"
-        yield from _of_times(scenario, key, auto.bandwidth)
+        of_bandwidth = f"controller.{law}.auto.bandwidth: {{}} Hz"
+        key = of_bandwidth.format(number(auto.bandwidth))
+        yield from _of_times(scenario, of_bandwidth, auto.bandwidth)
         if law in LAWS:  # the others have no loop through the image: the target is estimated where it is
-            yield from _of_delay(scenario, key, auto.bandwidth, auto.damping)
+            yield from _of_delay(scenario, of_bandwidth, auto.bandwidth, auto.damping)
         if scenario.actuators.kind == "force":  # other drives get there in their own time, or whatever effort it takes
-            yield from _of_forces(scene, key, auto.bandwidth)
+            yield from _of_forces(scene, key)
             yield from _of_coupling(scene, key)
             yield from _of_coupled_noise(scene, key)
         yield from _of_image(scene, key)
     elif scenario.controller.traits.output == "pose":
         bandwidth = scenario.controller.gains.bandwidth
-        yield from _of_times(scenario, f"controller.{law}.bandwidth: {number(bandwidth)} Hz", bandwidth)
-    elif fastest is not None:
-        yield from _too_slow(scenario, f"controller.{law}: the gains' bandwidth of {{}} Hz", fastest / (2.0 * math.pi))
+        yield from _of_times(scenario, f"controller.{law}.bandwidth: {{}} Hz", bandwidth)
+    else:
+        if fastest is not None:
+            key = f"controller.{law}: the gains' bandwidth of {{}} Hz"
+            yield from _too_slow(scenario, key, fastest / (2.0 * math.pi))
+        if scenario.actuators.kind == "force":
+            yield from _of_written_forces(scene)
     yield from _of_way(scene)
     yield from _of_pull(scene)
     yield from _of_switching(scene)
@@ -144,7 +149,8 @@ def _of_times(scenario: Scenario, key: str, bandwidth: float) -> Iterator[str]:
     most = _OF_SERVO_RATE / step
     if bandwidth > most * _ROUNDING:
         what = "servo period" if scenario.simulation.mode == SAMPLED_MODE else "step"
-        yield f"{key} is above {number(most)} Hz, a quarter of the rate of a {what} of {quantity(step, 's')}"
+        above = _out_of_bound(key, "above", bandwidth, most)
+        yield f"{above}, a quarter of the rate of a {what} of {quantity(step, 's')}"
     yield from _too_slow(scenario, key, bandwidth)
 
 
@@ -152,7 +158,14 @@ def _too_slow(scenario: Scenario, key: str, bandwidth: float) -> Iterator[str]:
     least = _OF_RUN / scenario.simulation.duration
     if bandwidth < least / _ROUNDING:
         run = quantity(scenario.simulation.duration, "s")
-        yield f"{key.format(number(bandwidth))} is below {number(least)} Hz, a tenth of a period in the run of {run}"
+        yield f"{_out_of_bound(key, 'below', bandwidth, least)}, a tenth of a period in the run of {run}"
+
+
+def _out_of_bound(key: str, side: str, bandwidth: float, bound: float) -> str:
+    """Return that a bandwidth is above or below a bound: what is written for the bound has no such warning."""
+    rounding = _ROUNDING if side == "above" else 1.0 / _ROUNDING
+    value, written = apart(bandwidth, bound * rounding, 3, keeps=True)
+    return f"{key.format(value)} is {side} {written} Hz"
 
 
 def image_delay(scenario: Scenario) -> float:
@@ -191,32 +204,58 @@ def _of_delay(scenario: Scenario, key: str, bandwidth: float, damping: float) ->
     delay = image_delay(scenario)
     most = damping / (2.0 * math.pi * delay) if delay > 0.0 else math.inf
     if bandwidth > most * _ROUNDING:
-        yield (
-            f"{key} is above {number(most)} Hz, where an image that takes effect {quantity(delay, 's')} late, drives "
-            "included, takes half of the damping away"
-        )
+        above = _out_of_bound(key, "above", bandwidth, most)
+        late = quantity(delay, "s")
+        yield f"{above}, where an image that takes effect {late} late, drives included, takes half of the damping away"
 
 
-def _of_forces(scene: Scene, key: str, bandwidth: float) -> Iterator[str]:
-    weight, law = start_forces(scene)
-    limit = scene.scenario.robot.force_limit
+def _of_forces(scene: Scene, key: str) -> Iterator[str]:
+    weight, law, limit, unit = *start_forces(scene), scene.scenario.robot.force_limit, scene.units.effort
     if np.abs(weight).max() > limit:
-        available = quantity(limit, scene.units.effort)
-        yield f"{key} fits no better than any other: the legs' {available} do not carry the weight"
+        yield f"{key} fits no better than any other: the legs' {quantity(limit, unit)} do not carry the weight"
         return
+    if not _has_fitted_motion(scene.scenario):  # then the wrench does not follow the bandwidth
+        yield from _of_written_forces(scene)
+        return
+    leg, share = _least_share(weight, law, limit)
+    if share < 1.0:
+        bandwidth = auto_of(scene.scenario).bandwidth
+        assert bandwidth is not None
+        most = below(bandwidth * math.sqrt(share) * _ROUNDING)
+        yield f"{key} {_needed(scene, weight, law, leg)}: enough for {most} Hz"
+
+
+def _of_written_forces(scene: Scene) -> Iterator[str]:
+    """Find gains, defaults or written ones, that need more than the legs have, where nothing limits the forces.
+
+    A weight that the legs do not carry has its own sentence.
+    """
+    if scene.scenario.actuators.saturation:
+        return
+    weight, law, limit = *start_forces(scene), scene.scenario.robot.force_limit
+    leg, share = _least_share(weight, law, limit)
+    if np.abs(weight).max() <= limit and share < 1.0:
+        key = f"controller.{scene.scenario.controller.law}"
+        yield f"{key}: the law {_needed(scene, weight, law, leg)}; {key}.auto.bandwidth fits its gains to the machine"
+
+
+def _least_share(weight: Array, law: Array, limit: float) -> tuple[int, float]:
+    """Return the leg that has the least of what the law needs beyond the weight, and the share that it has."""
     share = (limit - np.sign(law) * weight) / np.maximum(np.abs(law), 1e-300)
     leg = int(share.argmin())
-    if share[leg] < 1.0:
-        needed, unit = abs(weight[leg] + law[leg]), scene.units.effort
-        yield (
-            f"{key} needs {quantity(needed, unit)} of leg {leg + 1} at the start, which has {quantity(limit, unit)}: "
-            f"enough for {number(bandwidth * math.sqrt(share[leg]))} Hz"
-        )
+    return leg, float(share[leg])
+
+
+def _needed(scene: Scene, weight: Array, law: Array, leg: int) -> str:
+    needed, available = (
+        quantity(force, scene.units.effort) for force in (abs(weight[leg] + law[leg]), scene.scenario.robot.force_limit)
+    )
+    return f"needs {needed} of leg {leg + 1} at the start, which has {available}"
 
 
 def _of_coupling(scene: Scene, key: str) -> Iterator[str]:
     """Find an inertia that couples the axes, as that of a centre of mass off the origin: gains are for one axis."""
-    if not _OF_MOTION.isdisjoint(chosen_keys(scene.scenario)):  # then the motion is not that of fitted gains
+    if not _has_fitted_motion(scene.scenario):
         return
     ratio, band, is_share = settling(scene)
     least, most = _COUPLED
@@ -225,13 +264,13 @@ def _of_coupling(scene: Scene, key: str) -> Iterator[str]:
         time = f"in {number(ratio, 2)} times the time" if math.isfinite(ratio) else "beyond the time"
         yield (
             f"{key} is fitted axis by axis, but {_PRODUCTS}: the image error settles to {number(band, 2)} px, "
-            f"{of}, {time} of uncoupled axes; {_decoupling_laws()} takes the coupling out"
+            f"{of}, {time} of uncoupled axes; {_decoupling_laws(scene.scenario)} takes the coupling out"
         )
 
 
 def _of_coupled_noise(scene: Scene, key: str) -> Iterator[str]:
     """Find an inertia that makes motions which the image hardly constrains, and which noise drives, visible."""
-    if not has_products(scene.machine) or not _OF_MOTION.isdisjoint(chosen_keys(scene.scenario)):
+    if not has_products(scene.machine) or not _has_fitted_motion(scene.scenario):
         return
     coupled, alone = noise_at_rest(scene)
     if _DEVIATIONS * coupled > scene.band and coupled > _COUPLED[1] * alone:
@@ -241,13 +280,21 @@ def _of_coupled_noise(scene: Scene, key: str) -> Iterator[str]:
             f"{key} is fitted axis by axis, but {_PRODUCTS}: {number(feature_noise(scene.scenario.camera))} px of "
             f"noise in the image move the features by {number(coupled, 2)} px about rest (standard deviation; "
             f"{number(alone, 2)} px with uncoupled axes), so that they do not stay within metrics.band, "
-            f"{number(scene.band)} px; {_decoupling_laws()} takes the coupling out, and a larger {inverse} lets less "
-            "noise through"
+            f"{number(scene.band)} px; {_decoupling_laws(scene.scenario)} takes the coupling out, and a larger "
+            f"{inverse} lets less noise through"
         )
 
 
-def _decoupling_laws() -> str:
-    return " or ".join(law for law, traits in _core.LAW_TRAITS.items() if "coriolis_feedforward" in traits.parts)
+def _has_fitted_motion(scenario: Scenario) -> bool:
+    """Return whether spring, damping and adaptation are those of the bandwidth: fitted, and none of them written."""
+    return auto_of(scenario).bandwidth is not None and _OF_MOTION.isdisjoint(chosen_keys(scenario))
+
+
+def _decoupling_laws(scenario: Scenario) -> str:
+    """Return the laws that take the coupling out, with the same bandwidth: their defaults are of another machine."""
+    bandwidth = auto_of(scenario).bandwidth
+    laws = (law for law, traits in _core.LAW_TRAITS.items() if "coriolis_feedforward" in traits.parts)
+    return " or ".join(f"{law} with controller.{law}.auto.bandwidth: {bandwidth:g}" for law in laws)
 
 
 def _of_image(scene: Scene, key: str) -> Iterator[str]:
@@ -337,8 +384,9 @@ def _less_left(scene: Scene, key: str) -> str:
         return ""
     if any(_of_coupling(less, key)) or any(_of_coupled_noise(less, key)):
         return (
-            f"; {_decoupling_laws()} with {number(factor, 1)} times this prior leaves {number(100 * share, 1)} %, with "
-            "which this law amplifies noise or oscillates, since the inertia couples the axes"
+            f"; {_decoupling_laws(scene.scenario)} and {number(factor, 1)} times this prior leaves "
+            f"{number(100 * share, 1)} %, with which this law amplifies noise or oscillates, since the inertia couples "
+            "the axes"
         )
     return f"; {number(factor, 1)} times this prior leaves {number(100 * share, 1)} %"
 

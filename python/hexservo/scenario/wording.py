@@ -31,16 +31,18 @@ def _rounded(value: float, digits: int, direction: str) -> str:
 _MOST_DIGITS = 8  # that two numbers are given to differ
 
 
-def apart(value: float, limit: float, digits: int = 4) -> tuple[str, str]:
+def apart(value: float, limit: float, digits: int = 4, *, keeps: bool = False) -> tuple[str, str]:
     """Write a value and what it is compared with, as `number`, with as many digits as they need to differ.
 
     Numbers that 8 digits do not tell apart are "just above" or "just below" each other; equal ones have one text.
+    With `keeps` the limit is rounded away from the value: the number that is written keeps the limit.
     """
+    of_limit = (below if value > limit else above) if keeps else number
     for many in range(digits, _MOST_DIGITS + 1):
-        texts = number(value, many), number(limit, many)
+        texts = number(value, many), of_limit(limit, many)
         if texts[0] != texts[1]:
             return texts
-    written = number(limit, digits)
+    written = of_limit(limit, digits)
     return written if value == limit else f"just {'above' if value > limit else 'below'} {written}", written
 
 

@@ -134,7 +134,8 @@ def _sureness(found: Diagnosis) -> list[str]:
             f"{len(found.controls)} times, so the cause is less certain."
         )
     if found.obstacle is None:
-        helpers = [(f.alone, f.without.words) for f in found.causes if not f.named and f.without and f.without.works]
+        others = [f for f in found.causes if not f.named and f.cause not in found.together]
+        helpers = [(f.alone, f.without.words) for f in others if f.without and f.without.works]
         for alone, meaning in _NOT_NAMED.items():
             removals = [removal for one, removal in helpers if one is alone]
             more = f", and {len(removals) - _HELPERS} others" if len(removals) > _HELPERS else ""
