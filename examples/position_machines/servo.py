@@ -268,18 +268,19 @@ def _since(reading: Reading, start: float) -> Reading:
 def tracking(controller: hs.Controller, limits: Limits) -> Decision:
     """Return the decision of a law: where its controller sends the legs.
 
-    Where it cannot act, the controller brakes; the loop goes on for `limits.invalid`, and for `limits.frame_age`
-    without an image that shows a point. With `camera.latency_known: false` the law has no time of exposure, and finds
-    the latency itself.
+    Where it cannot act, the controller brakes; the loop goes on for `limits.invalid`, as it does while the law refuses
+    the images, and for `limits.frame_age` without an image that shows a point. With `camera.latency_known: false` the
+    law has no time of exposure, and finds the latency itself.
     """
-    used: Frame | None = None  # that the controller has
+    used: Frame | None = None  # that the controller was given
+    refused = ""  # the status with which it refused that one
     valid = 0.0
     exposed = 0.0  # when the newest image was taken that shows a point
     stamped = controller.scenario.camera.latency_known
     period = frame_period(controller.scenario)
 
     def decide(now: float, reading: Reading) -> Array:
-        nonlocal used, valid, exposed
+        nonlocal used, refused, valid, exposed
         frame = reading.frame
         if frame is not None and np.isfinite(frame.features).any():
             exposed = frame.exposure
@@ -292,10 +293,13 @@ def tracking(controller: hs.Controller, limits: Limits) -> Decision:
             exposure = min(frame.exposure, now) if stamped else now
             image = {"features": frame.features, "depth": frame.depth, "exposure": exposure}
         output = controller.step(**image, leg_lengths=reading.legs, now=now)  # type: ignore[arg-type]
-        if not output.invalid_input:
+        status = output.status if output.invalid_input else ""
+        if image:
+            refused = status
+        if not (status or refused):
             valid = now
         elif now - valid > limits.invalid:
-            raise Stop(f"the law cannot act since {now - valid:.3f} s: {output.status}")
+            raise Stop(f"the law cannot act since {now - valid:.3f} s: {status or refused}")
         return output.leg_positions
 
     return decide

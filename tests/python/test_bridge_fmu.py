@@ -633,14 +633,29 @@ def test_units_are_products_of_the_standards_base_units(unit: str, expected: dic
     assert si_exponents(unit) == expected
 
 
-def test_units_of_variables_are_those_of_the_table(make: Any) -> None:
+def test_units_and_bounds_of_variables_are_those_of_the_table(make: Any) -> None:
+    """Of six numbers with two units, the first three have the one and the last three the other."""
     made = make(hs.load_scenario("composite-30hz"), 2, "controller")
-    units = {v.name: v.unit for v in made.description.modelVariables}
+    variables = {v.name: v for v in made.description.modelVariables}
+    units = {name: v.unit for name, v in variables.items()}
     for key in _core.scenario_keys("composite"):
-        if key.type in ("number", "array") and ";" not in key.unit:
-            for name in [name for name in units if name.partition("[")[0] == key.name]:
-                assert units[name] == (key.unit or None), name
+        if key.type not in ("number", "array"):
+            continue
+        places = [name for name in units if name.partition("[")[0] == key.name]
+        parts = key.unit.split("; ")
+        assert len(parts) == 1 or len(places) in (0, 1, 6)
+        for index, name in enumerate(places):
+            expected = (
+                parts[index // 3] if len(places) == 6 and len(parts) == 2 else "" if len(parts) == 2 else key.unit
+            )
+            assert units[name] == (expected or None), name
+            bounds = [bound if bound is None else float(bound) for bound in (variables[name].min, variables[name].max)]
+            assert bounds == [key.least, key.most], name
     assert (units["robot.mass"], units["features[1]"], units["wrench[4]"]) == ("kg", "px", "N m")
+    of_damping = [units[f"controller.composite.kd[{place}]"] for place in (1, 3, 4, 6)]
+    assert of_damping == ["N s/m", "N s/m", "N m s/rad", "N m s/rad"]
+    slope = variables["controller.composite.fuzzy.bell_slope"]
+    assert (float(slope.min), float(slope.max)) == (0.0, 16.0)
     bases = {unit.name: unit.baseUnit for unit in made.description.unitDefinitions}
     assert (bases["N m"].kg, bases["N m"].m, bases["N m"].s, bases["N m"].rad) == (1, 2, -2, 0)
 

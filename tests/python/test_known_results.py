@@ -198,13 +198,13 @@ WORST = "+--+"
 SIGNS = ["".join(signs) for signs in itertools.product("+-", repeat=4)]
 
 
-def creep(scenario: hs.Scenario, signs: str, duration: float) -> tuple[hs.Result, dict[str, float]]:
+def creep(scenario: hs.Scenario, signs: str, duration: float, log_every: int) -> tuple[hs.Result, dict[str, float]]:
     """Run for a minute or more with depth errors of 30 %, one sign per point."""
     return run(
         scenario.updated(
             {
                 "uncertainty.depth": depth_errors(signs, 0.3),
-                "simulation": {"duration": duration, "log_every": 100},
+                "simulation": {"duration": duration, "log_every": log_every},
             }
         )
     )
@@ -222,15 +222,16 @@ def signs_and_mass_errors() -> list[object]:
 @pytest.mark.parametrize(("signs", "mass_error"), signs_and_mass_errors())
 def test_the_prior_bounds_the_drift(signs: str, mass_error: float, composite: hs.Scenario) -> None:
     heavier = composite.updated({"uncertainty.inertia": mass_error, "uncertainty.gravity": mass_error})
-    result, metrics = creep(heavier, signs, 60.0)
-    assert metrics["final_error"] < 0.22
+    result, metrics = creep(heavier, signs, 60.0, log_every=50)
+    later = result.time > 2.5  # a sample in 50 ms
+    assert np.abs(result.feature_error[later]).max() < 0.22
     assert metrics["peak_displacement"] < (0.015 if signs == WORST else 0.009)
     assert not result.events  # within stroke and force
 
 
 def test_the_worst_creep(composite: hs.Scenario) -> None:
     """(+,-,-,+) creeps to 20.0 mm, 0.284 px and 15.7 mm of stroke in 300 s, most of the way in 41 s after settling."""
-    result, metrics = creep(composite, WORST, 300.0)
+    result, metrics = creep(composite, WORST, 300.0, log_every=100)
     away = np.linalg.norm(result.position - result.position[0], axis=1)
     settled = np.interp(metrics["settling_time"], result.time, away)
     time = np.interp(settled + (1 - math.exp(-1)) * (away[-1] - settled), away, result.time) - metrics["settling_time"]

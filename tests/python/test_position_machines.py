@@ -331,6 +331,27 @@ def test_the_head_is_stopped_whatever_comes(clock: SimulatedClock, head: Simulat
         assert at_rest(head, clock)
 
 
+@pytest.mark.parametrize("reply", [b'{"ok": false}\n', b'{"ok": 1}\n', b"{}\n"])
+def test_the_head_is_stopped_where_a_command_is_not_confirmed(
+    clock: SimulatedClock, head: SimulatedMachine, reply: bytes
+) -> None:
+    with with_fault(head, 21, reply) as server:  # a read and a command in each tick
+        ending = track(server.port, clock)
+        assert ending.reason == "the head did not confirm a request"
+        assert ending.ticks == 10
+        assert ending.stopped
+        assert at_rest(head, clock)
+
+
+def test_a_stop_that_is_not_confirmed_is_reported(clock: SimulatedClock, connect: Callable[..., Line]) -> None:
+    with Server(lambda: answering(lambda _: b'{"ok": false}\n')) as server:
+        machine = Head(connect(server.port), 4, clock)
+        limits = Limits.of(Kinematics(head_scenario()))
+        ending = run(machine, lambda *_: limits.lowest, limits, PERIOD, 0.0, clock, threading.Event())
+    assert not ending.stopped
+    assert ending.details == ["the machine did not confirm that it stops: the head did not confirm a request"]
+
+
 @pytest.mark.parametrize("reply", [b"", b'{"legs": [0.1'], ids=["silent", "partial"])
 def test_a_head_that_does_not_answer_is_left_in_time(
     clock: SimulatedClock, head: SimulatedMachine, reply: bytes
@@ -472,6 +493,20 @@ def test_a_command_far_from_the_legs_is_not_sent(clock: SimulatedClock) -> None:
     machine = Followed(clock, kinematics.home_legs + 0.6)
     ending = run(machine, lambda *_: kinematics.home_legs, limits, PERIOD, 1.0, clock, threading.Event())
     assert "is 0.6 away from its command, expected at most 0.5131" in ending.reason
+    assert machine.stopped
+    assert not machine.commands
+
+
+@pytest.mark.parametrize("end", ["lowest", "highest"])
+def test_a_command_beyond_the_stroke_is_not_sent(clock: SimulatedClock, end: str) -> None:
+    """By the loop itself, which does not leave that to the machine; legs may be as far away as they like."""
+    kinematics = Kinematics(head_scenario())
+    limits = replace(Limits.of(kinematics), lag=np.inf)
+    beyond = kinematics.home_legs.copy()
+    beyond[2] = getattr(limits, end)[2] + (1e-3 if end == "highest" else -1e-3)
+    machine = Followed(clock, kinematics.home_legs)
+    ending = run(machine, lambda *_: beyond, limits, PERIOD, 1.0, clock, threading.Event())
+    assert ending.reason.startswith(f"leg 3 was to be sent at {beyond[2]:.4g}, expected ")
     assert machine.stopped
     assert not machine.commands
 
@@ -645,6 +680,44 @@ def test_an_image_counts_where_it_shows_a_point(lost: slice, ends: bool) -> None
                 decide(now, reading)
             break
         assert np.isfinite(decide(now, reading)).all()
+
+
+@pytest.mark.parametrize("every", [1, 2])
+def test_a_law_that_cannot_act_ends_the_loop(clock: SimulatedClock, every: int) -> None:
+    """Depths of the wrong sign from 0.5 s on, in an image at each tick, or with ticks between that have no new one.
+
+    The last good tick is at 0.48 s, or at 0.50 s before the first such image at 0.52 s; the next one beyond 0.3 s ends.
+    """
+    scenario = head_scenario().updated({"camera.period": every * PERIOD})
+    kinematics = Kinematics(scenario)
+    assert Limits.of(kinematics).invalid == 0.3
+    limits = Limits.of(kinematics, invalid=0.31)  # between two ticks
+    machine, seen = Followed(clock, kinematics.home_legs), hs.project(scenario, np.zeros(6))
+    decide = tracking(hs.Controller(scenario), limits)
+
+    def wrong(now: float, reading: Reading) -> Array:
+        exposure = every * PERIOD * (round(now / PERIOD) // every)
+        depth = np.full(4, -0.6 if exposure < 0.5 - 1e-9 else 0.6)
+        return decide(now, replace(reading, frame=Frame(seen, depth, exposure)))
+
+    ending = run(machine, wrong, limits, PERIOD, 2.0, clock, threading.Event())
+    last = PERIOD * (24 if every == 1 else 25)
+    assert ending.reason == "the law cannot act since 0.320 s: unusable"
+    assert ending.ticks * PERIOD == pytest.approx(last + 0.32)
+    assert machine.stopped
+
+
+def test_an_exposure_after_the_tick_is_one_at_the_tick() -> None:
+    """The age of an image is measured after the tick began; a law that refused such an image would brake."""
+    scenario = head_scenario()
+    legs, seen = Kinematics(scenario).home_legs, hs.project(scenario, np.zeros(6))
+    commands = []
+    for later in (0.0, 0.005):
+        decide = tracking(hs.Controller(scenario), Limits.of(Kinematics(scenario)))
+        ticks = PERIOD * np.arange(25)
+        commands.append([decide(now, Reading(legs, Frame(seen, np.full(4, -0.6), now + later))) for now in ticks])
+    np.testing.assert_array_equal(commands[0], commands[1])
+    assert np.abs(commands[0][-1] - legs).max() > 1e-3
 
 
 def test_a_last_image_that_lacks_a_point_is_not_the_goal(capsys: pytest.CaptureFixture[str]) -> None:

@@ -20,6 +20,7 @@ from hexservo.scenario.parameters import core_parameters
 
 Array = NDArray[np.float64]
 TICK = 0.02
+IN_SPACE = [[-0.15, 0.12, -0.45], [0.15, 0.12, -0.65], [0.12, -0.15, -0.45], [-0.15, -0.12, -0.65]]  # points [m]
 
 
 def hexapod(changes: dict[str, Any] | None = None) -> hs.Scenario:
@@ -61,6 +62,13 @@ def of_a_frame(acceleration: Array, period: float) -> tuple[Array, Array]:
     return np.asarray(carry, dtype=float), np.asarray(np.kron(in_time, np.diag(acceleration**2)), dtype=float)
 
 
+def view_jacobian(scenario: hs.Scenario) -> Array:
+    """Return the features by the platform's motion from home, (8, 6) [px/m; px/rad]; what is followed moves against."""
+    step = 1e-6
+    ends = ((hs.project(scenario, step * unit), hs.project(scenario, -step * unit)) for unit in np.eye(6))
+    return np.stack([np.subtract(*pair) / (2.0 * step) for pair in ends], axis=1)
+
+
 def test_the_filter_is_the_textbook_one_of_all_features() -> None:
     """With a reference that goes all the way in a tick, the command is the prediction of a filter with 12 numbers.
 
@@ -69,20 +77,12 @@ def test_the_filter_is_the_textbook_one_of_all_features() -> None:
     the fifth that takes a part too, (0.02/0.14)^4; what is left of the others is of second order.
     """
     sigma, frames = 0.001, 200
-    points = [[-0.15, 0.12, -0.45], [0.15, 0.12, -0.65], [0.12, -0.15, -0.45], [-0.15, -0.12, -0.65]]
-    scenario = at_once(sigma, points, certainty=0.0, jump=1e6)
+    scenario = at_once(sigma, IN_SPACE, certainty=0.0, jump=1e6)
     gains = scenario.controller.gains
     acceleration, speed = np.asarray(gains.acceleration), np.asarray(gains.speed)
     machine = _core.Hexapod(core_parameters(scenario).robot)
     home = np.array(machine.home_lengths)
-    step = 1e-6
-    jacobian = np.stack(  # the platform's motion to features; what is followed moves against the view
-        [
-            np.subtract(hs.project(scenario, step * unit), hs.project(scenario, -step * unit)) / (2.0 * step)
-            for unit in np.eye(6)
-        ],
-        axis=1,
-    )
+    jacobian = view_jacobian(scenario)
     shows = np.hstack([-jacobian, np.zeros((8, 6))])
     still = np.asarray(hs.project(scenario, [0.0] * 6))
     carry, push = of_a_frame(acceleration, TICK)
@@ -231,6 +231,41 @@ def test_after_a_gap_the_filter_begins_again() -> None:
     np.testing.assert_allclose(later, then, atol=1e-9)
 
 
+@pytest.mark.parametrize("jump", [1.5, 6.0])
+def test_a_pose_beyond_the_jump_begins_the_filter_again(jump: float) -> None:
+    """One frame is displaced by 0.97 and 1.03 of the square root of b(jump), n = 6, in deviations by the recursion.
+
+    The filter goes a part of the way, and on with a velocity: three times the way by the next tick. One that begins
+    again is at what the frame shows.
+    """
+    sigma, frames = 0.001, 40
+    scenario = at_once(sigma, IN_SPACE, certainty=0.0, jump=jump)
+    gains, machine = scenario.controller.gains, _core.Hexapod(core_parameters(scenario).robot)
+    home, jacobian = np.array(machine.home_lengths), view_jacobian(scenario)
+    carry, push = of_a_frame(np.asarray(gains.acceleration), TICK)
+    reading = sigma**2 * np.linalg.inv(jacobian.T @ jacobian)
+    known = np.zeros((12, 12))
+    known[:6, :6], known[6:, 6:] = reading, np.diag(np.square(gains.speed))
+    for _ in range(frames):
+        filtered, known = known, carry @ known @ carry.T + push
+        all_of_it = known[:6, :6] + reading
+        known = known - known[:, :6] @ np.linalg.solve(all_of_it, known[:6])
+    predicted = carry @ filtered @ carry.T + push
+    way = np.linalg.svd(jacobian / np.linalg.norm(jacobian, axis=0))[2][0] / np.linalg.norm(jacobian, axis=0)
+    way *= jump * np.sqrt((1.0 + 15.0 / (jump**2 + 2.0)) / (way @ np.linalg.solve(all_of_it, way)))
+    went = (predicted[:6, :6] + TICK * predicted[6:, :6]) @ np.linalg.solve(all_of_it, way)
+    for times, expected in ((0.97, went), (1.03, way)):
+        controller, along = hs.Controller(scenario), way / (way @ way)
+        for frame in range(frames + 1):
+            shown = times * way if frame == frames else np.zeros(6)
+            seen = np.asarray(hs.project(scenario, -shown))
+            out = controller.step(seen, np.full(4, -0.4), leg_lengths=home)
+        share, due = commanded(machine, out) @ along, times * expected @ along
+        print(f"jump {jump:g}: {times:g} of it, the command goes {share:.3f} of that way, expected {due:.3f}")
+        assert share == pytest.approx(due, rel=0.02)
+    assert went @ along > 2.0  # clear of the other case
+
+
 def test_a_planar_target_is_not_followed_at_its_other_pose() -> None:
     """The other pose, turned the other way, is a local minimum of the residual: steps from there stay there."""
     scenario = at_once(0.1, jump=1e6).updated({"robot.stroke": 0.1})
@@ -308,6 +343,7 @@ def test_check_names_a_target_that_is_slow_but_not_steady() -> None:
         assert bool([text for text in unlikely(changed) if "tracking.certainty" in text]) == (certainty > 0.0)
     print(f"behind by up to {error[2.5]:.2f} px, with every velocity {error[0.0]:.2f} px")
     assert 2.0 < error[2.5] < behind + error[0.0]
+    assert behind < 2.0 * error[2.5]  # no more than what is seen needs
     for fine in (moving([0.001, 0.0, 0.0]), {"metrics.band": behind + 1.0, **sway}):
         assert not [text for text in unlikely(noisy.updated(fine)) if "tracking.certainty" in text]
 
