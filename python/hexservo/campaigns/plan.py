@@ -32,6 +32,7 @@ from hexservo.campaigns.file_keys import (
 )
 from hexservo.campaigns.intervals import JEFFREYS, RARE, Mixture, anytime_interval
 from hexservo.campaigns.loop_numbers import without_loop
+from hexservo.campaigns.refused import refused_draw, refused_scenario
 from hexservo.campaigns.requirements import Requirement
 from hexservo.campaigns.tune_keys import TunePlan, TuneRule
 from hexservo.campaigns.unfit import unfit, unfit_variable
@@ -134,7 +135,8 @@ class CampaignPlan(Block):
             base = self.scenario.updated({**drawing.base, "simulation.log_every": MOST_LOG_EVERY})
             checked_variations(base, drawing.variations(drawing.numbers(0, 1)))
         except ValueError as error:
-            raise refusal(*((("vary",), line) for line in str(error).splitlines())) from None
+            drawn = error if refused_scenario(error) is None else refused_draw(error, lambda place: f"run {place}")
+            raise refusal(*((("vary",), line) for line in str(drawn).splitlines())) from None
         return self
 
     def required_metrics(self) -> tuple[str, ...]:
