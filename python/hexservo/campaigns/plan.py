@@ -207,6 +207,16 @@ class CampaignPlan(Block):
             return None
         return self.scenario.seed if any(map(is_random, chain([self.scenario], scenarios_at_the_ends(self)))) else None
 
+    @cached_property
+    def needs_motion(self) -> bool:
+        """Whether settling is required or minimised, and staying at the start is no result in any run."""
+        from hexservo.findings.analysis.scene import has_to_hold
+
+        minimised = () if self.tune is None else self.tune.minimise
+        if "settling_time" not in (*self.required_metrics(), *minimised):
+            return False
+        return not any(map(has_to_hold, chain([self.scenario], scenarios_at_the_ends(self))))
+
     def with_own_noise(self) -> CampaignPlan:
         """Return a copy in which each run has its own noise, where all share one; else this plan."""
         if self.common_noise is None:

@@ -12,6 +12,7 @@ import numpy as np
 
 from hexservo.campaigns.requirements import Requirement, distance_of
 from hexservo.campaigns.result import CampaignResult
+from hexservo.campaigns.words import of_settled_starts
 from hexservo.campaigns.worst_case import without_refused
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict, picked
@@ -207,6 +208,8 @@ class TuneResult(Findings):
                 f"That is biased, since the search chose by it. In variations that it never used {', '.join(parts)}, "
                 f"and {self.held_out.section().sentences[0]}"
             )
+            if self.held_out.summary.get("settled_at_start"):
+                sentences.append(of_settled_starts(self.held_out.summary))
         if self.feasible or not self.before_is_feasible:  # the first sentence is about the original gains otherwise
             if self.before_is_better:
                 sentences.append(f"The original gains are better over the variations of the search{self._remedy}")
