@@ -260,6 +260,24 @@ def test_a_quantity_without_indices_has_its_reason() -> None:
     assert sentences[1] == "settling_time: no indices, since it has no value in 12 of 12 runs."
 
 
+def test_metrics_of_runs_that_ended_early_have_no_indices() -> None:
+    """Runs with the short stroke end at once, with what they have reached by then; the margin orders these too."""
+    short = hs.load_scenario("composite-30hz").updated(
+        {"simulation.duration": 0.1, "metrics.dwell": 0.02, "robot.on_limit": "stop"}
+    )
+    vary = {"robot.stroke": {"choice": [1e-5, 0.5]}, "uncertainty.gravity": {"normal": [0.0, 0.1]}}
+    require = ["outcome == completed", "overshoot <= 10"]
+    found = hs.sensitivity({"scenario": short, "vary": vary, "require": require, "runs": 1}, samples=8)
+    assert 0 < found.early < found.runs == 32
+    assert list(found.indices) == ["margin"]
+    ended = f"{found.early} of 32 runs ended early"
+    assert found.without["peak_leg_force"] == ended
+    assert found.without["peak_leg_speed"] == f"{ended} and it has no value in {32 - found.early} others"
+    sentences = found.section().sentences
+    assert f"overshoot: no indices, since {ended}." in sentences
+    assert f"{ended}: the margin alone compares them with the others, and no metric has indices." in sentences
+
+
 def test_no_estimate_of_a_campaign_where_noise_decides() -> None:
     """Nothing but the noise of the camera varies; about one run in 1e5 fails."""
     scenario = FILE["scenario"].updated({"camera.noise": 1.0})

@@ -351,7 +351,10 @@ REFUSED = [
         "vary.uncertainty.depth: symmetric: expected a key that holds a square matrix",
     ),
     ({"vary": {"seed": {"choice": [0, 1]}}}, "vary.seed: expected each, other noise in each run; for the noise of one"),
-    ({"vary": {"camera.latency": {"uniform": [0, 0.1]}}}, "vary: scenario 0: camera.latency: "),
+    (
+        {"vary": {"camera.latency": {"uniform": [0, 0.1]}}},
+        r"vary.camera.latency: expected {choice: \[...\]} of times that are whole",
+    ),
     (
         {"vary": {"simulation.log_every": {"choice": [1, 1.5]}}},
         "vary.simulation.log_every: choice: expected an integer",

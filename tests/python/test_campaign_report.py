@@ -93,12 +93,12 @@ def test_the_most_influential_number_is_found(tmp_path: Path) -> None:
     """Of an error that matters whatever its sign, and one that does not matter."""
     file = {
         "scenario": hs.load_scenario("paper").updated({"simulation.duration": 0.3}),
-        "vary": {"robot.stroke": {"uniform": [0.016, 0.018]}, "uncertainty.gravity": {"normal": [0.0, 0.1]}},
+        "vary": {"metrics.band": {"uniform": [0.5, 2.0]}, "uncertainty.gravity": {"normal": [0.0, 0.1]}},
         "require": ["peak_leg_excursion <= 0.02"],
         "runs": 200,
     }
     names = influential(hs.campaign(file, tmp_path / "out"))
-    assert [name for name, _ in names] == ["uncertainty.gravity", "robot.stroke"]
+    assert [name for name, _ in names] == ["uncertainty.gravity", "metrics.band"]
     assert names[0][1] > 0.8 > 0.3 > names[1][1]
 
 

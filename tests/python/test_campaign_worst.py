@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import hexservo as hs
 from hexservo.campaigns import worst_case
@@ -171,11 +172,11 @@ def test_the_smallest_margins_are_those_of_all_searches(tmp_path: Path, monkeypa
     result = hs.campaign(FILE, tmp_path / "out", runs=3)
     random, tried = np.random.default_rng(5), []
 
-    def judged(self: Judge, numbers: dict[str, Array]) -> tuple[Array, None]:
+    def judged(self: Judge, numbers: dict[str, Array]) -> tuple[NDArray[np.intp], Array, None]:
         tried.append(random.random((len(numbers["uncertainty.gravity"]), 3)))
-        return tried[-1], None
+        return np.arange(len(tried[-1])), tried[-1], None
 
-    monkeypatch.setattr(Judge, "judged", judged)
+    monkeypatch.setattr(Judge, "judged_where_valid", judged)
     for seed in range(3):
         tried.clear()
         case = hs.worst_case(result, runs=60, seed=seed)

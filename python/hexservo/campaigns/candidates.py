@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -14,14 +15,17 @@ from numpy.typing import NDArray
 from hexservo.campaigns.judging import Judge
 from hexservo.campaigns.loop_numbers import LOOP_NUMBERS
 from hexservo.campaigns.plan import CampaignPlan
+from hexservo.campaigns.refused import REMEDY
 from hexservo.campaigns.requirements import margin_of, run_distances
 from hexservo.campaigns.search_steps import SearchSteps
 from hexservo.campaigns.tune_keys import TunePlan, Variable
-from hexservo.campaigns.worst_case import smallest_in_box
+from hexservo.campaigns.worst_case import REFUSED, smallest_in_box
+from hexservo.run.batch import BatchResult
 from hexservo.run.variations import changes_of_run
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.yaml import ScenarioError
 
 _WORST_RUNS = 400  # of a search for the worst case of a candidate
 _WORSE = 1e-3  # a case joins if it is the first to fail, or its margin is smaller by more than this,
@@ -96,6 +100,7 @@ class Candidates:
         self.drawing = self.judge.drawing
         self.random = np.random.default_rng(seed)
         self.runs = 0  # of all steps, those that were kept included
+        self.refused = 0  # points of the box that are no valid scenario, and were left out
         self.numbers = self._variations()
         self.joined = 0  # worst cases among the variations
         self.required = (*plan.require, *asked.subject_to)
@@ -107,11 +112,31 @@ class Candidates:
     def _variations(self) -> dict[str, NDArray[Any]]:
         parts = []
         if self.asked.corners:
-            ends = np.array(list(itertools.product((0.0, 1.0), repeat=self.drawing.dimension)))
-            parts.append(self.drawing.numbers_at(ends, 0))
+            parts.append(self._corners())
         if self.asked.over:
             parts.append(self.drawing.numbers(0, self.asked.over))
         return {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
+
+    def _corners(self) -> dict[str, NDArray[Any]]:
+        """Return the corners of what varies that are valid scenarios.
+
+        Raises
+        ------
+        ScenarioError
+            None is.
+        """
+        ends = np.array(list(itertools.product((0.0, 1.0), repeat=self.drawing.dimension)))
+        numbers = self.drawing.numbers_at(ends, 0)
+        varied, law = self.drawing.variations(numbers), self.plan.scenario.controller.law
+        kept = []
+        for row in range(len(ends)):
+            with contextlib.suppress(ValueError):
+                self.judge.base.updated(changes_of_run(varied, law, row))
+                kept.append(row)
+        self.refused += len(ends) - len(kept)
+        if not kept:
+            raise ScenarioError(f"tune.over: corners: none of the {len(ends)} corners is a valid scenario; {REMEDY}")
+        return {key: values[kept] for key, values in numbers.items()}
 
     @property
     def count(self) -> int:
@@ -271,21 +296,49 @@ class Candidates:
 
         def compute() -> dict[str, Array]:
             simulating()
-            margins, batch = self.judge.judged(numbers, gains)
-            metrics = [batch.metrics[name].reshape(shape).max(axis=1) for name in self.asked.minimise]  # NaN stays NaN
-            values = np.stack(metrics, axis=1) if metrics else np.empty((shape[0], 0))
-            distances = run_distances(self.plan.require, batch.outcome, batch.metrics)
-            worst = {"margins": margins, "distances": distances}
-            found = {name: each.reshape(*shape, -1).min(axis=1) for name, each in worst.items()}
-            violations = violation_of(margins).reshape(*shape, -1).mean(axis=1)
-            return found | {"values": values, "violations": violations}
+            return self._worst_by_candidate(*self.judge.judged(numbers, gains), shape)
 
         found = self.steps.take({**numbers, **gains, "shape": np.array(shape)}, compute)
         self.runs += shape[0] * shape[1]
         return Judged(found["margins"], found["values"], found["distances"], found["violations"])
 
+    def _case_step(self, numbers: Mapping[str, NDArray[Any]], gains: Mapping[str, Array], count: int) -> Judged:
+        """Run cases of one candidate, each as if it were a candidate, as a step; those of no valid scenario are best.
+
+        Their margin is REFUSED, and so below zero their metrics.
+        """
+
+        def compute() -> dict[str, Array]:
+            kept, margins, batch = self.judge.judged_where_valid(numbers, gains)
+            sizes = {"margins": len(self.plan.require), "distances": len(self.plan.require)}
+            sizes |= {"values": len(self.asked.minimise), "violations": len(self.plan.require)}
+            fill = {"margins": REFUSED, "distances": REFUSED, "values": -REFUSED, "violations": 0.0}
+            found = {name: np.full((count, size), fill[name]) for name, size in sizes.items()}
+            if batch is not None:
+                for name, values in self._worst_by_candidate(margins, batch, (len(kept), 1)).items():
+                    found[name][kept] = values
+            return found
+
+        found = self.steps.take({**numbers, **gains, "shape": np.array((count, 1))}, compute)
+        refused = int((found["margins"] == REFUSED).all(axis=1).sum())
+        self.refused += refused
+        self.runs += count - refused
+        return Judged(found["margins"], found["values"], found["distances"], found["violations"])
+
+    def _worst_by_candidate(self, margins: Array, batch: BatchResult, shape: tuple[int, int]) -> dict[str, Array]:
+        """Return the worst of the runs of each candidate by the names of `Judged`, for a batch of that shape."""
+        metrics = [batch.metrics[name].reshape(shape).max(axis=1) for name in self.asked.minimise]  # NaN stays NaN
+        values = np.stack(metrics, axis=1) if metrics else np.empty((shape[0], 0))
+        distances = run_distances(self.plan.require, batch.outcome, batch.metrics)
+        worst = {"margins": margins, "distances": distances}
+        found = {name: each.reshape(*shape, -1).min(axis=1) for name, each in worst.items()}
+        violations = violation_of(margins).reshape(*shape, -1).mean(axis=1)
+        return found | {"values": values, "violations": violations}
+
     def worse_cases(self, place: Array) -> tuple[list[dict[str, NDArray[Any]]], float]:
         """Return variations that are worse for a candidate than those of the search, and the smallest margin found.
+
+        Points of the box that are no valid scenario are left out, and counted in `refused`.
 
         The smallest margin in the box is searched, and, where it is not negative, the largest value of each metric.
         """
@@ -298,10 +351,12 @@ class Candidates:
 
         def runs(shares: Array) -> Judged:
             repeated = {key: np.repeat(values, len(shares), axis=0) for key, values in gains.items()}
-            return self._step(self._at(shares, seeds), repeated, (len(shares), 1))
+            return self._case_step(self._at(shares, seeds), repeated, len(shares))
 
         start = np.full(self.drawing.dimension, 0.5)
         found, margin = smallest_in_box(lambda shares: runs(shares).smallest, start, _WORST_RUNS, self.seed + 1)
+        if margin == REFUSED:  # no point that was tried is a valid scenario
+            return [], kept
         fails_first = margin < 0 <= kept  # by however little: the requirements do not hold in the box
         worse = fails_first or (margin < kept - _WORSE and (margin < 0 or not self.asked.minimise))
         if worse or margin < 0:

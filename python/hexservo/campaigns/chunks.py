@@ -70,6 +70,7 @@ class Tally:
     failed: list[int]  # by requirement
     runs: int = 0
     failures: int = 0  # runs that fail at least one requirement
+    unmoved: int = 0  # completed runs that are settled from their start on
     valueless: Counter[str] = field(default_factory=Counter)  # completed runs, by required metric that has no value
     outcomes: Counter[str] = field(default_factory=Counter)
     worst: list[tuple[float, float, int]] = field(default_factory=list)  # `ranks_of` and index, the worst first
@@ -79,6 +80,7 @@ class Tally:
         self.failed = [one + more for one, more in zip(self.failed, other.failed, strict=True)]
         self.runs += other.runs
         self.failures += other.failures
+        self.unmoved += other.unmoved
         self.valueless.update(other.valueless)
         self.outcomes.update(other.outcomes)
         self.worst = sorted(self.worst + other.worst)[:_WORST]
@@ -94,12 +96,14 @@ def tally_of(table: pa.Table, requirements: Sequence[Requirement], duration: flo
     failed = margins < 0
     completed = outcome == COMPLETED
     valueless = {name: int((np.isnan(values) & completed).sum()) for name, values in metrics.items()}
+    settled = _column(table, "settling_time") if "settling_time" in table.column_names else np.array(np.nan)
     ranks = ranks_of(margins)
     worst = np.lexsort((ranks[:, 1], ranks[:, 0]))[:_WORST]
     return Tally(
         failed=[int(count) for count in failed.sum(axis=0)],
         runs=len(outcome),
         failures=int(failed.any(axis=1).sum()),
+        unmoved=int((completed & (settled == 0.0)).sum()),
         valueless=Counter(valueless),
         outcomes=Counter(outcome.tolist()),
         worst=[(float(ranks[place, 0]), float(ranks[place, 1]), int(columns["index"][place])) for place in worst],

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import re
 import signal
 import threading
 from collections.abc import Callable, Iterator
@@ -16,12 +15,12 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from hexservo.campaigns.chunks import Tally, chunk_bytes, chunk_table, tally_of
 from hexservo.campaigns.plan import CampaignPlan
+from hexservo.campaigns.refused import refused_draw
 from hexservo.campaigns.store import Store, new_record
 from hexservo.run.batch import simulate_batch, thread_count
 from hexservo.run.publish import OutputError
 from hexservo.run.variant import VariantError
 from hexservo.scenario.wording import wrong_type
-from hexservo.scenario.yaml import ScenarioError
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -33,7 +32,6 @@ Chunk: TypeAlias = tuple[bytes | None, Tally]
 _IN_FLIGHT = 2  # chunks that are computed here or wait to be kept
 _IN_FLIGHT_OF_WORKER = 4
 _FOUND_WITHIN = 10.0  # [s], a scheduler at an address
-_PLACE = re.compile(r"scenario (?P<index>[0-9]+): ")
 
 
 class StoppedError(Exception):
@@ -120,10 +118,7 @@ def compute_chunk(
             store.base, store.drawing.variations(numbers), "metrics", threads, look, metrics=plan.kept_metrics()
         )
     except ValueError as error:
-        lines = [
-            _PLACE.sub(lambda match: f"run {first + int(match['index'])}: ", line) for line in str(error).splitlines()
-        ]
-        raise ScenarioError([f"{line}; narrow or clip what varies" for line in lines]) from None
+        raise refused_draw(error, lambda place: f"run {first + place}") from None
     table = chunk_table(batch, numbers, first, plan.require)
     return chunk_bytes(table, store.identity(index)), tally_of(table, plan.require, plan.scenario.simulation.duration)
 

@@ -5,12 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from hexservo.campaigns.chunks import batch_margins
 from hexservo.campaigns.plan import CampaignPlan
+from hexservo.campaigns.refused import REMEDY, refused_draw, refused_scenario
 from hexservo.run.batch import BatchResult, simulate_batch, whole
+from hexservo.run.variations import columns_of
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.wording import number
+
+_NAMED = 12  # numbers of a draw, in a message
 
 
 class Judge:
@@ -27,6 +33,8 @@ class Judge:
         self.drawing = plan.drawing()
         self.base = plan.scenario.updated(self.drawing.base)  # what a batch varies
         self.runs = 0  # that were simulated
+        self.refused = 0  # draws that were left out, since they are no valid scenario
+        self.refusal = ""  # why the first of them is none
 
     def judged(
         self, numbers: Mapping[str, NDArray[Any]], gains: Mapping[str, NDArray[Any]] | None = None
@@ -42,15 +50,79 @@ class Judge:
 
         Raises
         ------
+        ScenarioError
+            A run draws a scenario that is not valid: the message has its numbers.
         KeyboardInterrupt
             Ctrl-C ended the batch.
         """
-        varied = self.drawing.variations(numbers) | dict(gains or {})
+        varied = self._varied(numbers, gains)
+        try:
+            batch = self._batch(varied)
+        except ValueError as error:
+            if refused_scenario(error) is None:
+                raise
+            remedy = f"{REMEDY}, or the ranges of tune.variables" if gains else REMEDY
+            drawn = {**numbers, **(gains or {})}
+            raise refused_draw(error, lambda row: _draw(drawn, row), remedy) from None
+        return batch_margins(batch, numbers, self.plan.require), batch
+
+    def judged_where_valid(
+        self, numbers: Mapping[str, NDArray[Any]], gains: Mapping[str, NDArray[Any]] | None = None
+    ) -> tuple[NDArray[np.intp], Array, BatchResult | None]:
+        """Return which of the runs are of valid scenarios, (m,), their margins, (m, r), and the runs; None for no run.
+
+        The others are counted in `refused`, and left out. Arguments and KeyboardInterrupt as for `judged`.
+        """
+        varied = self._varied(numbers, gains)
+        kept = np.arange(max(map(len, varied.values())))
+        while len(kept):
+            found = self._batch_or_refused(_rows(varied, kept))
+            if isinstance(found, BatchResult):
+                return kept, batch_margins(found, _rows(numbers, kept), self.plan.require), found
+            kept = np.delete(kept, found)
+        return kept, np.empty((0, len(self.plan.require))), None
+
+    def _varied(
+        self, numbers: Mapping[str, NDArray[Any]], gains: Mapping[str, NDArray[Any]] | None
+    ) -> dict[str, NDArray[Any]]:
+        return self.drawing.variations(numbers) | dict(gains or {})
+
+    def _batch_or_refused(self, varied: Mapping[str, NDArray[Any]]) -> BatchResult | int:
+        """Return a batch, or the first of its scenarios that is not valid, and note that one."""
+        try:
+            return self._batch(varied)
+        except ValueError as error:
+            place = refused_scenario(error)
+            if place is None:
+                raise
+            self.refused += 1
+            self.refusal = self.refusal or str(error).splitlines()[0].partition(": ")[2]
+            return place
+
+    def _batch(self, varied: Mapping[str, NDArray[Any]]) -> BatchResult:
         batch = whole(simulate_batch(self.base, varied, "metrics", self.threads, metrics=self.metrics))
         self.runs += len(batch)
-        return batch_margins(batch, numbers, self.plan.require), batch
+        return batch
 
     def smallest_margins(self, numbers: Mapping[str, NDArray[Any]]) -> Array:
         """Return the smallest margin of each run, (n,); argument and errors as for `judged`."""
         smallest: Array = self.judged(numbers)[0].min(axis=1)
         return smallest
+
+
+def _rows(arrays: Mapping[str, NDArray[Any]], kept: NDArray[np.intp]) -> dict[str, NDArray[Any]]:
+    """Return some rows of arrays; one of length 1 holds for all."""
+    return {key: values if len(values) == 1 else values[kept] for key, values in arrays.items()}
+
+
+def _draw(numbers: Mapping[str, NDArray[Any]], row: int) -> str:
+    """Return the numbers of one draw, as the beginning of a message."""
+    names = {
+        name: column[0 if len(column) == 1 else row]
+        for key, values in numbers.items()
+        if key != "seed"
+        for name, column in columns_of(key, values).items()
+    }
+    shown = [f"{name} {number(float(value), 4)}" for name, value in names.items()]
+    more = [f"{len(shown) - _NAMED} more"] if len(shown) > _NAMED else []
+    return f"the draw of {', '.join([*shown[:_NAMED], *more])}"

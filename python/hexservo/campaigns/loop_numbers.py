@@ -10,6 +10,8 @@ from hexservo.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
     from hexservo.findings.analysis.camera_rate import CameraRate
+    from hexservo.findings.analysis.linear_loop import Clock
+    from hexservo.findings.analysis.loop_of_scenario import LoopAtRest
 
 
 def decay_rate(scenario: Scenario) -> float:
@@ -38,22 +40,49 @@ def delay_margin(scenario: Scenario) -> float:
     return ticks * rate.scenario.simulation.step
 
 
-def _camera_rate(scenario: Scenario, *, borders: bool) -> CameraRate | None:
-    """Return the analysis of the camera's rate without its runs; None where it does not apply."""
-    from hexservo.findings.analysis.camera_margins import loop_margins, most_frames
-    from hexservo.findings.analysis.camera_rate import CameraRate
-    from hexservo.findings.analysis.loop_of_scenario import NotApplicableError, clock_of, loop_at_rest
+def without_loop(scenario: Scenario) -> str:
+    """Return why a scenario has no linear loop whatever its gains are; "" where some gains may have one."""
+    from hexservo.findings.analysis.linear_law import NoRestError
+    from hexservo.findings.analysis.loop_of_scenario import NotApplicableError
+    from hexservo.findings.analysis.scene import scene_of
 
     try:
-        at_rest = loop_at_rest(scenario)
-        clock = clock_of(at_rest.scenario)
-        if clock.latency > most_frames(at_rest.free) * clock.period:
-            return None
-        free = loop_margins(at_rest.free, clock, borders=borders)
-        smooth = None if at_rest.smooth is None else loop_margins(at_rest.smooth, clock, borders=borders)
+        _loop_and_clock(scenario)
+    except NotApplicableError as error:
+        # where a loop rests depends on its gains, unless the body itself is not analysed
+        may_rest = isinstance(error.__cause__, NoRestError) and not scene_of(scenario).unusual_body
+        return "" if may_rest else str(error)
+    return ""
+
+
+def _camera_rate(scenario: Scenario, *, borders: bool) -> CameraRate | None:
+    """Return the analysis of the camera's rate without its runs; None where it does not apply."""
+    from hexservo.findings.analysis.camera_margins import loop_margins
+    from hexservo.findings.analysis.camera_rate import CameraRate
+    from hexservo.findings.analysis.loop_of_scenario import NotApplicableError
+
+    try:
+        at_rest, clock = _loop_and_clock(scenario)
     except NotApplicableError:
         return None
+    free = loop_margins(at_rest.free, clock, borders=borders)
+    smooth = None if at_rest.smooth is None else loop_margins(at_rest.smooth, clock, borders=borders)
     return CameraRate(at_rest.scenario, None, at_rest, clock, free, smooth)
+
+
+def _loop_and_clock(scenario: Scenario) -> tuple[LoopAtRest, Clock]:
+    """Return the linear loop of a scenario with its camera's times.
+
+    Raises
+    ------
+    NotApplicableError
+        It has none, or too many frames are under way at once.
+    """
+    from hexservo.findings.analysis.camera_rate import clock_of_loop
+    from hexservo.findings.analysis.loop_of_scenario import loop_at_rest
+
+    at_rest = loop_at_rest(scenario)
+    return at_rest, clock_of_loop(at_rest)
 
 
 LOOP_NUMBERS: Mapping[str, tuple[str, Callable[[Scenario], float]]] = {

@@ -13,9 +13,9 @@ from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
+from hexservo.campaigns.acting import keys_that_never_act, scenarios_at_the_ends
 from hexservo.campaigns.distributions import SEED, Variation
 from hexservo.campaigns.drawing import PLACED, Drawing
 from hexservo.campaigns.file_keys import (
@@ -31,13 +31,14 @@ from hexservo.campaigns.file_keys import (
     VaryRule,
 )
 from hexservo.campaigns.intervals import JEFFREYS, RARE, Mixture, anytime_interval
+from hexservo.campaigns.loop_numbers import without_loop
+from hexservo.campaigns.refused import refused_draw, refused_scenario
 from hexservo.campaigns.requirements import Requirement
 from hexservo.campaigns.tune_keys import TunePlan, TuneRule
 from hexservo.campaigns.unfit import unfit, unfit_variable
-from hexservo.findings.check_keys import needed_by
 from hexservo.run.metrics import OF_LIMITS, asked_metrics
 from hexservo.run.variant import ENVIRONMENT_VARIABLE, VariantError, available_variants, chosen_kernel
-from hexservo.run.variations import changes_of_run, checked_variations
+from hexservo.run.variations import checked_variations
 from hexservo.scenario.block import Block
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.noise import is_random
@@ -122,7 +123,7 @@ class CampaignPlan(Block):
                 if (sentence := unfit_variable(self.scenario, key, variable, self.vary))
             ]
         problems += [(place, sentence) for place, name in asked if (sentence := _without_value(self, name))]
-        problems = problems or list(_without_effect(self)) or list(_without_start(self))
+        problems = problems or list(keys_that_never_act(self)) or list(_unfit_for_search(self))
         if problems:
             raise refusal(*problems)
         drawing = self.drawing()
@@ -134,7 +135,8 @@ class CampaignPlan(Block):
             base = self.scenario.updated({**drawing.base, "simulation.log_every": MOST_LOG_EVERY})
             checked_variations(base, drawing.variations(drawing.numbers(0, 1)))
         except ValueError as error:
-            raise refusal(*((("vary",), line) for line in str(error).splitlines())) from None
+            drawn = error if refused_scenario(error) is None else refused_draw(error, lambda place: f"run {place}")
+            raise refusal(*((("vary",), line) for line in str(drawn).splitlines())) from None
         return self
 
     def required_metrics(self) -> tuple[str, ...]:
@@ -203,7 +205,17 @@ class CampaignPlan(Block):
         """The seed of the noise that all runs share; None where each has its own, or none is random."""
         if "seed" in self.vary:
             return None
-        return self.scenario.seed if any(map(is_random, chain([self.scenario], _at_the_ends(self)))) else None
+        return self.scenario.seed if any(map(is_random, chain([self.scenario], scenarios_at_the_ends(self)))) else None
+
+    @cached_property
+    def needs_motion(self) -> bool:
+        """Whether settling is required or minimised, and staying at the start is no result in any run."""
+        from hexservo.findings.analysis.scene import has_to_hold
+
+        minimised = () if self.tune is None else self.tune.minimise
+        if "settling_time" not in (*self.required_metrics(), *minimised):
+            return False
+        return not any(map(has_to_hold, chain([self.scenario], scenarios_at_the_ends(self))))
 
     def with_own_noise(self) -> CampaignPlan:
         """Return a copy in which each run has its own noise, where all share one; else this plan."""
@@ -265,40 +277,18 @@ class CampaignPlan(Block):
         return chosen
 
 
-def _without_effect(plan: CampaignPlan) -> Iterator[Problem]:
-    """Find keys that vary, or gains to search, that act in none of the runs."""
-    variables = {} if plan.tune is None else plan.tune.variables
-    places: list[tuple[str, ...]] = [("vary", key) for key in plan.vary]
-    places += [("tune", "variables", key) for key in variables]
-    idle = [place for place in places if needed_by(place[-1], [plan.scenario])]
-    runs = [plan.scenario, *_at_the_ends(plan)] if idle else []  # a key may make another one act
-    for place in idle:
-        if needed := needed_by(place[-1], runs):
-            yield place, f"has no effect here; it acts {needed}"
-
-
-def _without_start(plan: CampaignPlan) -> Iterator[Problem]:
-    """Find gains to search that have no value in the scenario, where a search begins."""
-    for key in {} if plan.tune is None else plan.tune.variables:
+def _unfit_for_search(plan: CampaignPlan) -> Iterator[Problem]:
+    """Find gains to search that have no value where a search begins, and requirements on a loop that no gains have."""
+    if plan.tune is None:
+        return
+    for key in plan.tune.variables:
         if value_at(plan.scenario, key) is None:
             yield (
                 ("tune", "variables", key),
                 "expected a scenario with a number, where the search begins, got null; set the key in the scenario",
             )
-
-
-def _at_the_ends(plan: CampaignPlan) -> Iterator[Scenario]:
-    """Return scenarios with all that varies, and with each key by itself, at both ends, where they are valid."""
-    drawing, law = plan.drawing(), plan.scenario.controller.law
-    base = plan.scenario.updated(drawing.base)
-    single = {} if plan.tune is None else plan.tune.variables
-    for end in (0, 1):
-        drawn = drawing.variations(drawing.numbers_at(np.full((1, drawing.dimension), float(end)), 0))
-        changes = changes_of_run(drawn, law)
-        changes |= {key: one.variation.box[end] for key, one in single.items() if one.groups == (0,)}
-        for some in (changes, *({key: value} for key, value in changes.items())):
-            with contextlib.suppress(ValueError):
-                yield base.updated(some)
+    if plan.tune.subject_to and (reason := without_loop(plan.scenario)):
+        yield ("tune", "subject_to"), f"expected a scenario with a linear loop, got one without: {reason}"
 
 
 def _without_value(plan: CampaignPlan, metric: str) -> str:

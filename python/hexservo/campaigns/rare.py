@@ -135,7 +135,7 @@ def estimate_rare_failures(
     ValueError
         For fewer samples, or a negative seed.
     ScenarioError
-        As `campaign`.
+        As `campaign`, and for a draw that is no valid scenario, with its numbers.
     KeyboardInterrupt
         Ctrl-C.
     """

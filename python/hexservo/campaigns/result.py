@@ -290,6 +290,7 @@ def summary_of(plan: CampaignPlan, record: dict[str, Any], tally: Tally) -> dict
             }
             for requirement, failed in zip(plan.require, tally.failed, strict=True)
         ],
+        "settled_at_start": tally.unmoved if plan.needs_motion else None,
         "without_value": {name: count for name, count in sorted(tally.valueless.items()) if count},
         "outcomes": dict(sorted(tally.outcomes.items())),
         "worst": [{"index": index, "margin": margin} for margin, _, index in tally.worst],

@@ -17,6 +17,7 @@ from scipy import stats
 from hexservo.campaigns.distributions import between_ends
 from hexservo.campaigns.judging import Judge
 from hexservo.campaigns.plan import CampaignPlan, load_plan
+from hexservo.campaigns.requirements import COMPLETED
 from hexservo.campaigns.words import of_common_noise
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Bars, Column, Item, Section, Share, Table
@@ -42,13 +43,17 @@ class Indices:
 @described
 @dataclass(frozen=True, repr=False, eq=False)
 class Sensitivity(Findings):
-    """Sobol indices of the margin and of the metrics that never are NaN. They bound no probability."""
+    """Sobol indices of the margin, and of the metrics that all runs have at their full duration.
+
+    They bound no probability.
+    """
 
     plan: CampaignPlan  # whose inputs vary
     inputs: tuple[str, ...]  # d numbers that vary: ``target.rotation[0]``; ``seed`` stands for all noise
     indices: Mapping[str, Indices]  # "margin" or a metric of `hs.METRICS` -> indices
     without: Mapping[str, str]  # that which has none -> why, as a clause
     runs: int  # that were simulated
+    early: int  # of these, ended before their duration
     seed: int  # of the draws
 
     def headline(self) -> str:
@@ -61,7 +66,7 @@ class Sensitivity(Findings):
         Raises
         ------
         ValueError
-            There are no indices of this quantity: it does not vary, or is NaN in some runs.
+            There are no indices of this quantity: it does not vary, or some run has no value of it, or ended early.
         """
         if quantity not in self.indices:
             raise ValueError(f"quantity: expected one of {', '.join(self.indices) or 'none'}, got {quantity!r}")
@@ -84,6 +89,9 @@ class Sensitivity(Findings):
             if np.isfinite(ends).all():
                 interval = f"bootstrap interval at 95 %: {ends[0]:.0%} to {ends[1]:.0%}"
             sentences.append(f"{quantity}: {one} has the largest total index ({share:.0%}, {interval}){second}.")
+        if self.early:
+            ended = f"{self.early} of {self.runs} runs ended early"
+            sentences.append(f"{ended}: the margin alone compares them with the others, and no metric has indices.")
         if any((self.indices[name].total > 1.0).any() for name in asked if name in self.indices):
             sentences.append("Estimates of indices may exceed 100 %, which no index does; more samples narrow them.")
         if (common := self.plan.common_noise) is not None:
@@ -146,7 +154,7 @@ def sensitivity(
     ValueError
         For another number of samples, or a negative seed.
     ScenarioError
-        As `campaign`.
+        As `campaign`, and for a draw that is no valid scenario, with its numbers.
     KeyboardInterrupt
         Ctrl-C.
     """
@@ -156,27 +164,36 @@ def sensitivity(
     inputs = (*drawing.names, *(["seed"] if drawing.has_seed else []))
     quantities: list[str] = []
     tried: list[Array] = []
+    early = 0
 
     def outputs(uniform: Array) -> Array:
         points = between_ends(uniform.T)
         seeds = (points[:, -1] * 2.0**64).astype(np.uint64)
         numbers = drawing.numbers_of(points[:, : drawing.dimension], seeds)
+        nonlocal early
         margins, batch = judge.judged(numbers)
+        completed = batch.outcome == COMPLETED  # what a metric has reached when a run ends is none of a whole run
+        early += int((~completed).sum())
         quantities[:] = ["margin", *batch.metrics]
-        tried.append(np.stack([margins.min(axis=1), *batch.metrics.values()]))
+        metrics = [np.where(completed, values, np.nan) for values in batch.metrics.values()]
+        tried.append(np.stack([margins.min(axis=1), *metrics]))
         return tried[-1]
 
     found = sobol_indices(outputs, len(inputs), samples, seed)
     indices = {name: each for name, each in zip(quantities, found, strict=True) if each is not None}
     values = dict(zip(quantities, np.concatenate(tried, axis=1), strict=True))
-    without = {name: _why_none(values[name]) for name in quantities if name not in indices}
-    return Sensitivity(plan, inputs, indices, without, judge.runs, seed)
+    without = {name: _why_none(values[name], early) for name in quantities if name not in indices}
+    return Sensitivity(plan, inputs, indices, without, judge.runs, early, seed)
 
 
-def _why_none(values: Array) -> str:
-    """Return why there are no indices of a quantity with these values, (n,)."""
-    if missing := int((~np.isfinite(values)).sum()):
-        return f"it has no value in {missing} of {len(values)} runs"
+def _why_none(values: Array, early: int) -> str:
+    """Return why there are no indices of a quantity with these values, (n,), of which `early` runs ended early."""
+    missing = int((~np.isfinite(values)).sum())
+    reasons = [f"{early} of {len(values)} runs ended early"] if missing and early else []
+    if missing > early:
+        reasons.append(f"it has no value in {missing - early} {'others' if early else f'of {len(values)} runs'}")
+    if missing:
+        return " and ".join(reasons)
     return "it is the same in all runs" if np.ptp(values) == 0 else "it varies in too few of the samples"
 
 

@@ -12,6 +12,8 @@ import numpy as np
 
 from hexservo.campaigns.requirements import Requirement, distance_of
 from hexservo.campaigns.result import CampaignResult
+from hexservo.campaigns.words import of_settled_starts
+from hexservo.campaigns.worst_case import without_refused
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict, picked
 from hexservo.run.metrics import metric_label, metric_unit
@@ -102,6 +104,7 @@ class TuneResult(Findings):
     variations: int  # of the search at its end, worst cases included
     joined: int  # worst cases among them
     runs: int  # that the search simulated
+    refused: int  # points of the box of what varies that are no valid scenario, and were left out
     seed: int  # of the draws and of the search
     minimise: tuple[str, ...]  # names of one or two metrics
     path: Path  # of the scenario file
@@ -205,6 +208,8 @@ class TuneResult(Findings):
                 f"That is biased, since the search chose by it. In variations that it never used {', '.join(parts)}, "
                 f"and {self.held_out.section().sentences[0]}"
             )
+            if self.held_out.summary.get("settled_at_start"):
+                sentences.append(of_settled_starts(self.held_out.summary))
         if self.feasible or not self.before_is_feasible:  # the first sentence is about the original gains otherwise
             if self.before_is_better:
                 sentences.append(f"The original gains are better over the variations of the search{self._remedy}")
@@ -222,6 +227,8 @@ class TuneResult(Findings):
         else:
             worse = f"one, which did not join, since the rounds had ended; {least}"
         sentences.append(f"The last search for a worse case found {worse}.")
+        if self.refused:
+            sentences.append(without_refused(self.refused))
         sentences.append(f"The search simulated {self.runs} runs (seed {self.seed}).")
         return sentences
 
@@ -256,7 +263,7 @@ class TuneResult(Findings):
             "relaxed_gains": {str(one.requirement): dict(one.gains) for one in self.relaxations},
             "relaxed_failures": {str(one.requirement): [one.failures, one.runs] for one in self.relaxations},
             "front": [[*point.values, *point.held_out, point.failures] for point in self.front],
-            **picked(self, "settled worst_margin end_margins variations joined runs seed"),
+            **picked(self, "settled worst_margin end_margins variations joined runs refused seed"),
             "history": [
                 [each.round, each.runs, each.margin, each.feasible, *each.lowest, each.variations]
                 for each in self.history

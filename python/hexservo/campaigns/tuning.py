@@ -84,7 +84,7 @@ def tune(
     Raises
     ------
     ScenarioError
-        The file is not valid.
+        The file is not valid, or variations of the search or of the held-out campaign are no valid scenarios.
     ValueError
         It has no block ``tune``, or no number of runs; ``generations`` or ``rounds`` is below 1, or ``seed`` not from
         0 to 2^31 - 1.
@@ -263,6 +263,7 @@ def _finished(search: _Search, plan: CampaignPlan, folder: Path, threads: int | 
         variations=candidates.count,
         joined=candidates.joined,
         runs=candidates.runs,
+        refused=candidates.refused,
         seed=candidates.seed,
         minimise=plan.tune.minimise,
         path=folder / _TUNED,

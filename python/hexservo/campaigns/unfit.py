@@ -15,6 +15,24 @@ from hexservo.scenario.pose_rules import problem_of_turns
 from hexservo.scenario.rules import shown_value
 from hexservo.scenario.scenario import Scenario
 
+_PERIODS = "times that are whole numbers of servo periods (simulation.step)"
+ON_GRID = {
+    **dict.fromkeys(
+        (
+            "camera.period",
+            "camera.latency",
+            "camera.latency_jitter",
+            "sensors.period",
+            "actuators.delay",
+            "uncertainty.latency",
+            "simulation.duration",
+        ),
+        _PERIODS,
+    ),
+    "simulation.step": "steps that divide simulation.duration",
+}
+"""Keys that accept listed numbers alone, since hardly any between two ends is one of the grid -> that grid."""
+
 _CHOSEN = "controller"  # the block whose keys a search for gains may choose
 
 
@@ -30,6 +48,8 @@ def unfit(scenario: Scenario, key: str, variation: Variation) -> str:
         return ""
     if rule.whole and variation.kind != "choice":
         return f"expected {{choice: [...]}} of integers, got {variation.kind}"
+    if key in ON_GRID and variation.kind != "choice":
+        return f"expected {{choice: [...]}} of {ON_GRID[key]}, got {variation.kind}"
     present = value_at(scenario, key)
     if variation.add and (present is None or isinstance(present, str)):
         return f"add: expected a scenario whose value is a number, got {shown_value(present)}"

@@ -12,6 +12,7 @@ _PAGE = "docs/campaigns.md"
 _OF_EACH = ("failures", "from", "to")
 _OFTEN = 0.5  # failure probability above which a campaign without a goal for it is bad,
 _SELDOM = 0.1  # and below which it may be good
+_MOST = 0.5  # share of runs that settle without a motion, above which a campaign is not good
 _REASONS = {  # why a completed run has no value of a metric (docs/model.md, section 8)
     "settling_time": "they are not within metrics.band for metrics.dwell at their end",
     "rms_error": "they end before metrics.rms_start",
@@ -73,6 +74,8 @@ def verdict_sentences(summary: dict[str, Any]) -> list[str]:
     ]
     if summary["common_noise"] is not None:
         sentences.append(of_common_noise("the interval holds", summary["common_noise"]))
+    if summary.get("settled_at_start"):
+        sentences.append(of_settled_starts(summary))
     if (until := _decided(summary)) is not None:
         sentences.append(until)
     if summary["clopper_pearson"] is not None:
@@ -92,6 +95,16 @@ def verdict_sentences(summary: dict[str, Any]) -> list[str]:
 def of_common_noise(holds: str, seed: int) -> str:
     """Return that all runs have the noise of one seed, and that what `holds` does so for that noise alone."""
     return f"All runs have the same noise (seed {seed}): {holds} for that noise alone; vary seed: each for other noise."
+
+
+def of_settled_starts(summary: dict[str, Any]) -> str:
+    """Return how many runs are settled without a motion."""
+    count, runs = summary["settled_at_start"], summary["runs"]
+    are, they, count_as = ("is", "it", "counts") if count == 1 else ("are", "they", "count")
+    return (
+        f"{count} of {runs} runs {are} within metrics.band of the goal from the start on, so that {they} {count_as} as "
+        "settled without a motion; a narrower band shows whether the law gets to the goal."
+    )
 
 
 def _valueless(metric: str, count: int, runs: int) -> str:
@@ -125,6 +138,11 @@ def _is_wide(summary: dict[str, Any]) -> bool:
     return width is not None and high - low > width
 
 
+def _rests(summary: dict[str, Any]) -> bool:
+    """Return whether most runs are settled without a motion."""
+    return bool((summary.get("settled_at_start") or 0) > _MOST * summary["runs"])
+
+
 def _verdict(summary: dict[str, Any]) -> Verdict:
     """Return the verdict (docs/campaigns.md, section 5); a goal for the probability takes the place of both limits."""
     if not summary["runs"]:
@@ -133,7 +151,7 @@ def _verdict(summary: dict[str, Any]) -> Verdict:
     bound = (summary["until"] or {}).get("probability_below")
     if low > (_OFTEN if bound is None else bound):
         return "bad"
-    if summary["common_noise"] is not None:  # of other noise the runs show nothing
+    if summary["common_noise"] is not None or _rests(summary):  # of other noise, or of the law, the runs show nothing
         return "warning"
     if bound is not None:
         return "good" if high <= bound else "warning"

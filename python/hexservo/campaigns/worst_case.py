@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hexservo.campaigns.judging import Judge
+from hexservo.campaigns.refused import REMEDY
 from hexservo.campaigns.requirements import Requirement, ranks_of, run_margins
 from hexservo.campaigns.result import CampaignResult, command_with_changes, scenario_and_changes
 from hexservo.campaigns.store import WORST, require_own_scenario, write_scenario
@@ -25,6 +26,7 @@ from hexservo.scenario.arrays import Array
 from hexservo.scenario.fields import described
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number, whole_number, wrong_type
+from hexservo.scenario.yaml import ScenarioError
 
 if TYPE_CHECKING:
     from hexservo.findings.diagnosis import Diagnosis
@@ -35,6 +37,9 @@ _NAMED = 3  # numbers of a run outside the box, in its sentence
 _SIGMA = 0.3  # first spread of the candidates, in parts of the box
 MAX_SEED = 2**31 - 1
 """Largest seed of a search: CMA-ES takes 32 bits, and what follows from a seed is larger than it."""
+
+REFUSED = 1e100
+"""Margin of a point that is no valid scenario, in a search for the smallest one: above all others."""
 
 _STALLED = 1e-3  # a search ends when its candidates' margins differ by less
 
@@ -55,6 +60,8 @@ class WorstCase(Findings):
     common_noise: int | None  # seed of the noise that all runs share; None where each has its own, or none is random
     command: str  # that runs the packaged scenario with what varies; "" where the campaign varies no packaged one
     diagnosis: Diagnosis | None = field(default=None)  # of the run, where it is about a requirement that the run misses
+    refused: int = field(default=0)  # points of the box that are no valid scenario, and were left out
+    refusal: str = field(default="")  # why the first of them is none
 
     def headline(self) -> str:
         """Return a line that names the scenario."""
@@ -69,6 +76,8 @@ class WorstCase(Findings):
             f"own runs is {number(self.drawn_margin)}{drawn}.",
             f"It is the worst of {self.runs} runs of a search (seed {self.seed}), which proves no bound.",
         ]
+        if self.refused:
+            sentences.append(f"{without_refused(self.refused)} Of the first: {self.refusal}.")
         if self.common_noise is not None:
             sentences.append(of_common_noise("it is the worst case", self.common_noise))
         if self.drawn_margin < self.margin and self.outside:
@@ -82,7 +91,7 @@ class WorstCase(Findings):
         columns, rows = (Column("requirement"), Column("margin")), [("all together", self.margin), *self.margins]
         table = Table("Smallest margin found", columns, rows, "", "docs/campaigns.md")
         margins = {"margin": self.margin, "margins": dict(self.margins)}
-        data = {**margins, **picked(self, "runs seed common_noise")}
+        data = {**margins, **picked(self, "runs seed refused common_noise")}
         failure = min(self.margin, self.drawn_margin) < 0
         return Section("worst_case", "Worst case", sentences, [table], "bad" if failure else "open", data)
 
@@ -95,8 +104,8 @@ def worst_case(
     The case is written to ``worst-case.yaml`` in the campaign's folder, in place of an earlier one that is unchanged.
 
     CMA-ES (Hansen 2016) minimises the margin of all requirements together, and of each by itself, from the campaign's
-    worst runs. The box is that of the distributions: 3 standard deviations for a normal one without a clip. Seeds are
-    those of the run from which a search begins.
+    worst runs. The box is that of the distributions: 3 standard deviations for a normal one without a clip. Its points
+    that are no valid scenario are left out, and counted. Seeds are those of the run from which a search begins.
 
     Parameters
     ----------
@@ -118,6 +127,8 @@ def worst_case(
         For arguments of other types.
     ValueError
         The campaign has no runs, or nothing but seeds varies; a number is out of its range.
+    ScenarioError
+        No point that was tried is a valid scenario.
     OutputError
         ``worst-case.yaml`` in the campaign's folder was changed, and is kept, or cannot be written (a `ValueError`).
     KeyboardInterrupt
@@ -141,7 +152,9 @@ def worst_case(
     def search(columns: Sequence[int], begin: int) -> None:
         def smallest(shares: Array) -> Array:
             nonlocal rank, place, start, least
-            margins, _ = judge.judged(drawing.numbers_at(shares, begin))
+            kept, found, _ = judge.judged_where_valid(drawing.numbers_at(shares, begin))
+            margins = np.full((len(shares), len(plan.require)), REFUSED)
+            margins[kept] = found
             least = np.minimum(least, margins.min(axis=0))
             ranks = [(float(smallest), float(total)) for smallest, total in ranks_of(margins)]
             worst = min(range(len(ranks)), key=ranks.__getitem__)
@@ -157,6 +170,8 @@ def worst_case(
         for begin in starts:
             search(columns, begin)
     law, margin = judge.base.controller.law, rank[0]
+    if margin == REFUSED:
+        raise ScenarioError(f"vary: no point that the search tried is a valid scenario ({judge.refusal}); {REMEDY}")
     drawn = drawing.variations(drawing.numbers_at(place[None], start))
     scenario, changes = scenario_and_changes(plan.scenario, drawing.base | changes_of_run(drawn, law))
     write_scenario(result.folder / CASE, scenario.to_yaml())
@@ -172,7 +187,15 @@ def worst_case(
         plan.common_noise,
         command_with_changes(changes, scenario),
         _diagnosed(scenario, plan.require) if margin < 0 else None,
+        judge.refused,
+        judge.refusal,
     )
+
+
+def without_refused(count: int) -> str:
+    """Return that so many points of a box were left out of a search."""
+    points, they, were = ("point", "is", "was") if count == 1 else ("points", "are", "were")
+    return f"{count} {points} of the box {they} no valid scenario, as no run of the campaign is, and {were} left out."
 
 
 def _diagnosed(scenario: Scenario, require: Sequence[Requirement]) -> Diagnosis | None:

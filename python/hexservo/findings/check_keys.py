@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Container, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -255,20 +255,27 @@ def _idles(key: str, scenario: Scenario) -> bool:
     return any(condition.has(key) and not condition.acts(scenario) for condition in _CONDITIONS)
 
 
-def needed_by(key: str, scenarios: Iterable[Scenario]) -> str:
+def needed_by(key: str, scenarios: Iterable[Scenario], given: Container[str] = ()) -> str:
     """Return what a key needs to act, and what to do, as it follows "it acts"; "" where it acts in one of scenarios.
 
-    A bandwidth of `auto` is looked at as if the scenarios had one: in a campaign they do.
+    A bandwidth of `auto` is looked at as if the scenarios had one: in a campaign they do. Gains of the keys `given`
+    follow neither it nor a damping.
     """
-    bandwidths = _SOME_BANDWIDTHS if key.endswith(".auto.bandwidth") else ()
-    given = [[scenario.updated({key: each}) for each in bandwidths] or [scenario] for scenario in scenarios]
+    tried = next((values for end, values in _TRIED.items() if key.endswith(end)), ())
+    pairs = [[scenario.updated({key: each}) for each in tried] or [scenario] for scenario in scenarios]
     for condition in _CONDITIONS:
-        if condition.has(key) and not any(condition.acts(scenario) for scenario, *_ in given):
+        if condition.has(key) and not any(condition.acts(scenario) for scenario, *_ in pairs):
             return f"{condition.when}; {_MEET_OR_DROP if condition.can_be_met else 'drop the key'}"
-    if bandwidths and all(gains_written(one) == gains_written(other) for one, other in given):
+    if tried and all(_following(one, given) == _following(other, given) for one, other in pairs):
         return f"only where a gain that follows from it acts and is not given; {_MEET_OR_DROP}"
     return ""
 
 
+def _following(scenario: Scenario, given: Container[str]) -> dict[str, Any]:
+    """Return the gains that `auto` fits and that act, without those of the keys `given`."""
+    written = gains_written(scenario).items()
+    return {key: value for key, value in written if key not in given and not _idles(key, scenario)}
+
+
 _MEET_OR_DROP = "set that in the scenario, or drop the key"
-_SOME_BANDWIDTHS = (1.0, 2.0)  # [Hz]; any two differ in every gain that depends on it
+_TRIED = {".auto.bandwidth": (1.0, 2.0), ".auto.damping": (0.5, 1.0)}  # [Hz], [1]; a gain that depends on it differs

@@ -223,12 +223,9 @@ def analyse(scenario: Scenario, *, borders: bool = True) -> CameraRate:
     """
     try:
         at_rest = loop_at_rest(scenario)
+        clock = clock_of_loop(at_rest)
     except NotApplicableError as error:
         return CameraRate(scenario, str(error))
-    clock = clock_of(at_rest.scenario)
-    most = most_frames(at_rest.free)
-    if clock.latency > most * clock.period:
-        return CameraRate(scenario, f"more than {most} frames are under way at once; take a longer camera.period")
     radius = scene_of(scenario).platform_radius
     free = loop_margins(at_rest.free, clock, radius, borders=borders)
     smooth = loop_margins(at_rest.smooth, clock, radius, borders=borders) if at_rest.smooth is not None else None
@@ -247,6 +244,20 @@ def analyse(scenario: Scenario, *, borders: bool = True) -> CameraRate:
     # up to the stability limit of the linear loop
     largest = {key: getattr(acting, key).stable or getattr(clock, key) for key in _KEYS}
     return replace(result, limits={key: limit_border(at_rest.task, key, clock, largest[key]) for key in _KEYS})
+
+
+def clock_of_loop(at_rest: LoopAtRest) -> Clock:
+    """Return the camera's period and latency of a loop, in ticks.
+
+    Raises
+    ------
+    NotApplicableError
+        More frames are under way at once than the analysis allows.
+    """
+    clock, most = clock_of(at_rest.scenario), most_frames(at_rest.free)
+    if clock.latency > most * clock.period:
+        raise NotApplicableError(f"more than {most} frames are under way at once; take a longer camera.period")
+    return clock
 
 
 def _start_runs(at_rest: LoopAtRest) -> tuple[StartRun, ...]:

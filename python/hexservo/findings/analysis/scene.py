@@ -105,14 +105,9 @@ class Scene:
     def settled_start(self) -> float | None:
         """Largest |xi(0) - xi_d| [px] where it is in the settling band before anything moves; None where it is not.
 
-        None too where staying there is a result: base or target move, or the controller has the weight wrong.
+        None too where staying there is a result (`has_to_hold`).
         """
-        scenario = self.scenario
-        if moves(scenario.base_motion) or scenario.target.motion.kind != "none":
-            return None
-        if np.any(self.settings["uncertainty.gravity"]) or scenario.has_unknown_payload:
-            return None
-        if np.any(self.settings["simulation.start.twist"]):
+        if has_to_hold(self.scenario):
             return None
         error = float(np.abs(self.view(self.start).features - self.desired).max())
         return error if error <= self.band else None
@@ -316,6 +311,17 @@ def _at_each(of: Callable[[Array, Array], Array], poses: Poses, *shape: int) -> 
     """Return what the core gives at one position and quaternion for each pose, (..., *shape)."""
     pairs = zip(poses.rows.position, poses.rows.quaternion, strict=True)
     return np.asarray([of(*pose) for pose in pairs]).reshape(*poses.shape, *shape)
+
+
+def has_to_hold(scenario: Scenario) -> bool:
+    """Return whether staying at the start is a result: something moves, or the controller has the weight wrong."""
+    return (
+        moves(scenario.base_motion)
+        or scenario.target.motion.kind != "none"
+        or bool(np.any(scenario.uncertainty.gravity))
+        or scenario.has_unknown_payload
+        or bool(np.any(scenario.simulation.start.twist))
+    )
 
 
 @lru_cache(maxsize=8)  # several parts of an analysis ask

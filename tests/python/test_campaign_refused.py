@@ -1,0 +1,163 @@
+"""Draws that are no valid scenario: left out of searches in the box, and refused with their numbers elsewhere."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hexservo as hs
+from hexservo.campaigns.candidates import Candidates
+from hexservo.campaigns.judging import Judge
+from hexservo.campaigns.plan import CampaignPlan, load_plan
+from hexservo.campaigns.search_steps import SearchSteps
+from hexservo.campaigns.unfit import ON_GRID
+from hexservo.campaigns.worst_case import REFUSED
+from hexservo.scenario.keys import numeric_keys
+
+SHORT = hs.load_scenario("paper-composite").updated(
+    {
+        "simulation.duration": 0.05,
+        "metrics.dwell": 0.01,
+        "metrics.rms_start": 0.0,
+        "robot.inertia": [2e-4, 2e-4, 3e-4],
+    }
+)
+INERTIA = {"robot.inertia": {"uniform": [-1e-4, 1e-4], "add": True, "each": True}}
+REQUIRE = ["outcome == completed", "peak_leg_excursion <= 0.1"]
+REMEDY = "; narrow or clip what varies"
+
+
+def file_of(**keys: Any) -> dict[str, Any]:
+    return {"scenario": SHORT, "vary": INERTIA, "require": REQUIRE, "runs": 1, **keys}
+
+
+def with_valid_runs(count: int, **keys: Any) -> CampaignPlan:
+    """A plan whose first runs are valid, by its stream."""
+    for stream in range(50):
+        plan = load_plan(file_of(runs=count, **keys) | {"stream": stream}) if is_valid(stream, keys, 1) else None
+        if plan is not None and is_valid(stream, keys, count):
+            return plan
+    raise AssertionError("no stream has valid runs")
+
+
+def is_valid(stream: int, keys: dict[str, Any], count: int) -> bool:
+    try:
+        plan = load_plan(file_of(**keys) | {"stream": stream})
+        return len(Judge(plan, 1).judged(plan.drawing().numbers(0, count))[1]) == count
+    except hs.ScenarioError:
+        return False
+
+
+def is_a_body(numbers: dict[str, Any]) -> Any:
+    """Whether no principal moment exceeds the sum of the others, by row."""
+    moments = numbers["robot.inertia"]
+    return 2 * moments.max(axis=1) <= moments.sum(axis=1)
+
+
+def test_a_batch_leaves_out_what_is_no_valid_scenario() -> None:
+    plan = with_valid_runs(1)
+    judge = Judge(plan, 1)
+    numbers = judge.drawing.numbers_at(np.random.default_rng(1).random((40, 3)), 0)
+    body = is_a_body(numbers)
+    kept, margins, batch = judge.judged_where_valid(numbers)
+    assert 0 < len(kept) < 40
+    np.testing.assert_array_equal(kept, np.flatnonzero(body))
+    assert batch is not None
+    assert (len(batch), judge.runs, judge.refused) == (len(kept), len(kept), 40 - len(kept))
+    assert judge.refusal.startswith("robot.inertia: expected principal moments")
+    alone, _ = judge.judged({key: values[kept] for key, values in numbers.items()})
+    np.testing.assert_array_equal(margins, alone)
+    refused = {key: values[~body] for key, values in numbers.items()}
+    kept, margins, batch = judge.judged_where_valid(refused)
+    assert (len(kept), margins.shape, batch) == (0, (0, 2), None)
+
+
+def test_the_worst_case_leaves_out_what_is_no_valid_scenario(tmp_path: Path) -> None:
+    result = hs.campaign(with_valid_runs(2), tmp_path / "out", threads=1)
+    case = hs.worst_case(result, runs=30, restarts=1, threads=1)
+    assert case.refused > 0
+    assert abs(case.margin) < REFUSED
+    assert case.scenario == hs.load_scenario(str(case.path))
+    sentence = f"{case.refused} points of the box are no valid scenario, as no run of the campaign is, and were left"
+    found = [each for each in case.section().sentences if each.startswith(sentence)]
+    assert len(found) == 1
+    assert "Of the first: robot.inertia: expected principal moments" in found[0]
+
+
+TUNE: dict[str, Any] = {"variables": {"controller.composite.kt": {"log": [0.01, 100]}}, "minimise": "rms_error"}
+
+
+def searched(folder: Path, plan: CampaignPlan) -> tuple[Any, int, int]:
+    """The worse cases of a candidate, and how many points were simulated and left out."""
+    steps = SearchSteps(folder, plan, 0, 1, print)
+    assert plan.tune is not None
+    with steps.opened():
+        candidates = Candidates(plan, plan.tune, steps, 0, 1)
+        return candidates.worse_cases(np.array([0.5])), candidates.runs, candidates.refused
+
+
+def test_a_search_for_gains_leaves_out_what_is_no_valid_scenario(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hexservo.campaigns.candidates._WORST_RUNS", 40)
+    plan = with_valid_runs(2, tune={**TUNE, "over": 2})
+    (joining, margin), runs, refused = searched(tmp_path / "out", plan)
+    assert refused > 0
+    assert abs(margin) < REFUSED
+    for numbers in joining:
+        assert is_a_body(numbers).all()
+    (again, same), *counts = searched(tmp_path / "out", plan)  # of the steps that are kept
+    assert (same, *counts) == (margin, runs, refused)
+    assert len(again) == len(joining)
+
+
+def test_corners_that_are_no_valid_scenario_are_left_out(tmp_path: Path) -> None:
+    """In parts of 1e-4 kg m^2: 1.1 or 2.95, 1.1 or 2.95, 2.1 or 3.95, of which (1.1, 1.1, 3.95) is no body."""
+    vary = {"robot.inertia": {"uniform": [-0.9e-4, 0.95e-4], "add": True, "each": True}}
+    plan = with_valid_runs(1, vary=vary, tune={**TUNE, "over": "corners"})
+    assert plan.tune is not None
+    steps = SearchSteps(tmp_path / "out", plan, 0, 1, print)
+    candidates = Candidates(plan, plan.tune, steps, 0, 1)
+    assert (candidates.count, candidates.refused) == (7, 1)
+    assert is_a_body(candidates.numbers).all()
+
+
+@pytest.mark.parametrize("estimate", ["sensitivity", "estimate_rare_failures"])
+def test_an_estimate_refuses_a_draw_with_its_numbers(estimate: str) -> None:
+    plan = with_valid_runs(1)
+    samples = 16 if estimate == "sensitivity" else 100
+    with pytest.raises(hs.ScenarioError, match=r"^the draw of robot.inertia\[0\] [\d.e-]+, robot.inertia\[1\] ") as one:
+        getattr(hs, estimate)(plan, samples=samples, threads=1)
+    assert str(one.value).endswith(REMEDY)
+    drawn = re.findall(r"robot.inertia\[\d\] ([\d.e-]+)[,:]", str(one.value))
+    assert not is_a_body({"robot.inertia": np.array([drawn], dtype=float)}).any()
+
+
+def test_the_first_run_is_refused_as_any_other() -> None:
+    refused = next(stream for stream in range(50) if not is_valid(stream, {}, 1))
+    with pytest.raises(hs.ScenarioError, match=r"^vary: run 0: robot.inertia: expected principal moments") as one:
+        load_plan(file_of(stream=refused))
+    assert str(one.value).endswith(REMEDY)
+
+
+@pytest.mark.parametrize("name", ["composite-30hz", "pi-h824-positions"])
+def test_a_key_of_a_grid_takes_listed_numbers(name: str) -> None:
+    """These are the keys that refuse a number which is none of their grid."""
+    scenario = hs.load_scenario(name)
+    for key in numeric_keys(scenario.controller.law, scenario.target.count):
+        try:
+            scenario.updated({key: 0.0123457})
+            off_grid = False
+        except hs.ScenarioError as error:
+            off_grid = "; nearest: " in str(error)
+        assert off_grid == (key in ON_GRID), key
+        if off_grid:
+            vary = {key: {"uniform": [0.01, 0.02]}}
+            file = {"scenario": scenario, "vary": vary, "require": ["outcome == completed"], "runs": 3}
+            message = rf"^vary.{key}: expected {{choice: \[...\]}} of {re.escape(ON_GRID[key])}, got uniform$"
+            with pytest.raises(hs.ScenarioError, match=message):
+                load_plan(file)
