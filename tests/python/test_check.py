@@ -326,6 +326,25 @@ def test_motors_that_do_not_overcome_their_friction() -> None:
         assert any(line.startswith(start) for line in unlikely(scenario)) != arrives
 
 
+@pytest.mark.parametrize(
+    ("name", "key", "silent", "warned"),
+    [
+        ("paper", "actuators.quantisation", 0.26, 0.28),  # [N]; 0.134 N in a leg at rest
+        ("reachy-mini-motors", "actuators.motor.quantisation", 0.75, 0.8),  # [rad]; the stroke is 0.77 rad
+        ("reachy-mini-motors", "actuators.motor.kp", 0.14, 0.12),  # [N m/rad]; 0.1 N m over the stroke is 0.13
+    ],
+)
+def test_drives_that_have_nothing_to_act_with(name: str, key: str, silent: float, warned: float) -> None:
+    """Rounded to 0, to one place, or held by friction: beyond, the legs do not move as they are commanded to."""
+    scenario = hs.load_scenario(name).updated({"simulation.mode": "sampled"})
+    for value, is_warned in ((silent, False), (warned, True)):
+        found = unlikely(scenario.updated({key: value}))
+        assert any(line.startswith(f"{key}: ") for line in found) == is_warned
+    held = hs.simulate(scenario.updated({key: warned}))
+    moves = hs.simulate(scenario)
+    assert hs.metrics(held)["final_error"] > 10.0 * hs.metrics(moves)["final_error"]
+
+
 def test_noise_that_the_filter_takes_for_a_jump() -> None:
     """A jump of 6 assumed deviations is 4 of the noise where this is 1.5 times as large."""
     takes = {"controller.law": "tracking", "camera.prediction": "none", "actuators.kind": "position"}

@@ -24,6 +24,7 @@ from hexservo.findings.check_points import of_points
 from hexservo.findings.check_target import of_target
 from hexservo.findings.check_tracking import of_tracking
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.pixels import on_pinhole, points_outside
@@ -60,7 +61,7 @@ def unlikely(scenario: Scenario, *, by_law: bool = True) -> list[str]:
     """
     scene = scene_of(scenario)
     sentences: list[str] = []
-    for check in (_of_legs, of_machine, _of_goal, of_points, of_gate, of_target):
+    for check in (_of_legs, _of_drives, of_machine, _of_goal, of_points, of_gate, of_target):
         sentences += _evaluated(check, scene)
     for of_scenario in (_of_image, _of_principal_point, _of_duration, _of_dropout, of_motion, _of_unknown_latency):
         sentences += _evaluated(of_scenario, scenario)
@@ -93,10 +94,7 @@ def _of_rates(scene: Scene) -> Iterator[str]:
 
 
 def _of_legs(scene: Scene) -> Iterator[str]:
-    robot = scene.scenario.robot
-    share = 1.0 - np.array(scene.settings["uncertainty.gravity"])
-    weight = share * scene.settings.plant_body.weight(scene.home.quaternion)
-    forces = scene.hexapod.leg_forces(scene.home.position, scene.home.quaternion, weight)
+    robot, forces = scene.scenario.robot, _resting_forces(scene)
     leg, unit = int(np.abs(forces).argmax()), scene.units.effort
     friction = scene.scenario.actuators.motor.friction
     rubs = scene.scenario.actuators.kind == "position_torque" and friction > 0.0
@@ -130,6 +128,40 @@ def _of_legs(scene: Scene) -> Iterator[str]:
         yield (
             f"robot.stroke: {quantity(robot.stroke, 'm')} either way is longer than a leg, of "
             f"{quantity(shortest, 'm')} at home"
+        )
+
+
+def _resting_forces(scene: Scene) -> Array:
+    """Return what the legs carry the platform's true weight with at home, (6,) [N], or [N m] of cranks."""
+    share = 1.0 - np.array(scene.settings["uncertainty.gravity"])
+    weight = share * scene.settings.plant_body.weight(scene.home.quaternion)
+    return np.asarray(scene.hexapod.leg_forces(scene.home.position, scene.home.quaternion, weight))
+
+
+def _of_drives(scene: Scene) -> Iterator[str]:
+    """Find rounding and friction that leave the drives of a sampled scenario nothing to act with."""
+    scenario, units = scene.scenario, scene.units
+    if scenario.simulation.mode != SAMPLED_MODE:
+        return
+    actuators, motor, stroke = scenario.actuators, scenario.actuators.motor, scenario.robot.stroke
+    largest = float(np.abs(_resting_forces(scene)).max())
+    if actuators.kind == "force" and 0.0 < largest < 0.5 * actuators.quantisation:
+        yield (
+            f"actuators.quantisation: {quantity(actuators.quantisation, units.effort)} rounds to 0 what the legs carry "
+            f"the platform with at home, at most {quantity(largest, units.effort)}"
+        )
+    if actuators.kind != "position_torque":
+        return
+    if motor.quantisation > stroke:
+        yield (
+            f"actuators.motor.quantisation: {quantity(motor.quantisation, units.coordinate)} leaves a leg one or two "
+            f"positions within its stroke, {quantity(stroke, units.coordinate)} either way"
+        )
+    if motor.friction > motor.kp * stroke:
+        needed = quantity(motor.friction / motor.kp, units.coordinate)
+        yield (
+            f"actuators.motor.kp: a leg at rest overcomes actuators.motor.friction only for a command {needed} away, "
+            f"beyond its stroke, {quantity(stroke, units.coordinate)} either way"
         )
 
 
