@@ -152,8 +152,8 @@ def test_the_order_and_the_words(text: str) -> None:
         "The run completed: 5 s in continuous mode, controlled by the law hybrid.",
         "All features are within 2 px of their goals from 0.353 s on.",
         "The largest feature error at the end is 0.07972 px; from 1 s on their RMS is 0.05187 px.",
-        "At the end the platform is 18.2 mm and 36.3 mrad from the pose with the goal image, a displacement that "
-        "the image constrains only weakly.",
+        "At the end the platform is 18.2 mm and 36.3 mrad from the pose with the goal image; in the image the two "
+        "nearly cancel.",
         "warning A map : The largest stable period is 41 ms.",
         "not applicable Not for this law : Does not apply.",
         "Not available for this run: expected another law",

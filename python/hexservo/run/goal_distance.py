@@ -10,7 +10,6 @@ import numpy as np
 from hexservo.run.probe import probe
 from hexservo.run.samples import rotation_vectors
 from hexservo.scenario.motion import moves
-from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.rotations import quaternion_product
 
 if TYPE_CHECKING:
@@ -27,15 +26,16 @@ class GoalDistance:
 
     shift: float  # [m]
     angle: float  # [rad]
-    motion: float  # by which shift and angle, each on its own, move points before the camera [px]; the larger
+    misfit: float  # largest feature error of that pose [px]: of a measured goal image there is none without
+    motion: float  # by which the shift alone, or the rotation alone, moves a feature [px]; the larger
 
 
 def goal_distance(result: Result) -> GoalDistance | None:
     """Return how far the platform is at the end from a pose with the goal image.
 
     Of the minima that the core's search from home finds, and whose features are at most 0.5 px and `metrics.band` from
-    their goals, that of the least image motion is meant: shift over the points' mean depth, and angle. A target whose
-    points are near one another looks nearly alike after a shift and a rotation that cancel in its image.
+    their goals, the one with the least shift over the points' mean depth, and angle, is meant. A target whose points
+    are near one another looks nearly alike after a shift and a rotation that cancel in its image.
 
     Returns
     -------
@@ -53,16 +53,17 @@ def goal_distance(result: Result) -> GoalDistance | None:
     position, quaternion = parts.goal_minima()
     if not len(position):
         return None
-    features, _ = parts.image(position, quaternion)
     desired = result.features[-1] + result.feature_error[-1]
-    shown = np.abs(features - desired).max(axis=1) <= min(scenario.metrics.band, INEXACT)
+    misfit = np.abs(parts.image(position, quaternion)[0] - desired).max(axis=1)
+    shown = misfit <= min(scenario.metrics.band, INEXACT)
     if not shown.any():
         return None
-    shift = np.linalg.norm(result.position[-1] - position[shown], axis=1)
-    inverse = quaternion[shown] * [1.0, -1.0, -1.0, -1.0]
+    position, quaternion, misfit = position[shown], quaternion[shown], misfit[shown]
+    shift = np.linalg.norm(result.position[-1] - position, axis=1)
+    inverse = quaternion * [1.0, -1.0, -1.0, -1.0]
     turns = [quaternion_product(result.quaternion[-1:], each[None])[0] for each in inverse]
     angle = np.linalg.norm(rotation_vectors(np.array(turns)), axis=1)
-    seen = shift / np.abs(result.depth[-1]).mean()
-    nearest = int(np.argmin(np.hypot(seen, angle)))
-    motion = float(np.max(core_parameters(scenario).camera.focal_pixels)) * max(seen[nearest], angle[nearest])
-    return GoalDistance(float(shift[nearest]), float(angle[nearest]), float(motion))
+    one = int(np.argmin(np.hypot(shift / np.abs(result.depth[-1]).mean(), angle)))
+    places = np.stack([position[one], result.position[-1]]), np.stack([result.quaternion[-1], quaternion[one]])
+    motion = np.abs(parts.image(*places)[0] - result.features[-1]).max()  # NaN where a point is not in front then
+    return GoalDistance(float(shift[one]), float(angle[one]), float(misfit[one]), float(motion))

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from hexservo.run.result import Result
 
 
-_HIDDEN = 0.1  # of what a displacement would move the image by on its own; below it, it is weakly constrained
+_HIDDEN = 0.1  # share of what shift or rotation moves the image by, below which the two nearly cancel in it
+_MISFIT = 0.01  # [px], from which a pose has not the goal image but one that is near
 
 
 def summary_sentences(result: Result) -> list[str]:
@@ -103,8 +104,8 @@ def goal_distance_sentence(result: Result, *, if_hidden: bool = False) -> str | 
     result
         The run.
     if_hidden
-        Only where shift or angle on its own would take the image out of `metrics.band`, and the image error is less
-        than a tenth of that motion.
+        Only where the shift or the rotation alone takes the image out of `metrics.band`, and the image error is less
+        than a tenth of what it moves it by.
     """
     found = goal_distance(result)
     if found is None:
@@ -114,8 +115,11 @@ def goal_distance_sentence(result: Result, *, if_hidden: bool = False) -> str | 
         return None
     ways = ((found.shift, "m"), (found.angle, "rad"))
     shift, angle = (f"less than 1 n{unit}" if value < 1e-9 else quantity(value, unit) for value, unit in ways)
-    words = f"At the end the platform is {shift} and {angle} from the pose with the goal image"
-    return f"{words}, a displacement that the image constrains only weakly." if hidden else f"{words}."
+    pose = "the pose with the goal image"
+    if found.misfit > _MISFIT:
+        pose = f"the pose whose image is nearest to the goal's, {number(found.misfit, 2)} px off"
+    words = f"At the end the platform is {shift} and {angle} from {pose}"
+    return f"{words}; in the image the two nearly cancel." if hidden else f"{words}."
 
 
 def _legs(result: Result) -> list[str]:
