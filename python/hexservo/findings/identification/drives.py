@@ -268,16 +268,30 @@ def _compare_legs(records: Sequence[_Record], found: Sequence[list[_Model]]) -> 
             models.append(_model(record, guide.delay, start, guide.limits))
 
 
+def _refined(record: _Record, models: Sequence[_Model]) -> list[_Model]:
+    """Fit those with limits again, in finer steps, that the record does not tell from the best one.
+
+    The steps in which a limit begins or ends to act are of second order: with the core's own, of a leg of 11 Hz and
+    ticks of 20 ms, they are off by ten micrometres, and bias bandwidth and damping by several per cent.
+    """
+    near = _alike(_best(models), models)
+    return [
+        _model(record, one.delay, one.values, one.limits, _FINER) if any(one.limits) and one in near else one
+        for one in models
+    ]
+
+
 def _described(record: _Record, leg: int, models: Sequence[_Model]) -> tuple[DriveFit, Array]:
     """Return what the best model states, and what it predicts at equal steps in all ticks."""
     finer = int(np.clip(_MOST_STEPS // len(record.joints), 1, _FINER))
     if not models:
         still = np.full(finer * len(record.joints), record.joints[: record.fitted].mean())
         return DriveFit(leg, None, None, None, None, None, 0.0, 0.0, scatter(record.joints), 1.0, None), still
+    models = _refined(record, models)
     best = _best(models)
     alike = _alike(best, models)
     delays = [model.delay for model in alike]
-    predicted = record.response(best.delay, best.values)
+    predicted = record.response(best.delay, best.values, finer=_FINER)[::_FINER]
     return (
         DriveFit(
             leg=leg,
@@ -365,7 +379,7 @@ class _Model:
         return _EDGE * lowest, highest / _EDGE
 
 
-def _model(record: _Record, delay: int, start: Array, limits: tuple[bool, bool]) -> _Model:
+def _model(record: _Record, delay: int, start: Array, limits: tuple[bool, bool], finer: int = 1) -> _Model:
     measured = record.joints[: record.fitted]
     free = np.array([True, True, *limits, True, True, delay > 0])
     values = start.copy()
@@ -386,7 +400,7 @@ def _model(record: _Record, delay: int, start: Array, limits: tuple[bool, bool])
         return found
 
     def residuals(x: Array) -> Array:
-        left = record.response(delay, unpacked(x), record.fitted) - measured
+        left = record.response(delay, unpacked(x), record.fitted, finer)[::finer] - measured
         return np.where(np.isfinite(left), left, 1e3 * scale) / scale
 
     logs = np.clip(np.log(np.maximum(values[:4][free[:4]], 1e-12)), lowest[free[:4]], highest[free[:4]])
