@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 import hexservo as hs
 from hexservo.findings.certificate.energy import COARSE, EnergyLedger, energy_ledger
 from hexservo.findings.certificate.energy_words import section
-from hexservo.findings.certificate.replay import Plant, replay, replay_of
+from hexservo.findings.certificate.replay import Plant, every_step, replay, replay_of
 from hexservo.findings.certificate.stages import doubled_stages_of
 from hexservo.findings.evidence import Curves, Table
 from hexservo.scenario.wording import joules
@@ -522,3 +522,10 @@ def test_columns_and_axes_have_the_unit_of_their_largest_value(paper: hs.Scenari
     assert 1.0 <= largest < 1000.0
     assert joules(certificate.energy.turnover).endswith(f" {unit}")
     assert unit in curves.y_label
+
+
+def test_a_run_too_long_for_a_log_of_every_step_is_refused_by_its_duration(paper: hs.Scenario) -> None:
+    """Whatever `simulation.log_every` is: a certificate does not look at it."""
+    long = paper.updated({"simulation": {"duration": 1e5, "log_every": 1000}})
+    with pytest.raises(ValueError, match=r"^simulation.duration: expected a run whose log .* 2 GiB, .* got 100000 s"):
+        every_step(long)

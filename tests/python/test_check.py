@@ -622,6 +622,7 @@ WITHOUT_EFFECT: list[tuple[dict[str, Any], dict[str, Any]]] = [
     ({}, {"controller.composite.fuzzy.leakage": 0.1}),
     ({}, {"controller.kelly.kd": 1.0, "controller.pbvs.kp": 1.0}),
     ({"controller.hybrid.fuzzy.enabled": False}, {"controller.hybrid.fuzzy.adaptation": 20.0}),
+    ({"controller.law": "kelly"}, {"controller.hybrid.fuzzy.enabled": False}),
     ({"controller.law": "resolved_rate"}, {"controller.resolved_rate.gain_far": 2.0}),
     ({"controller.law": "resolved_rate", **ADAPTIVE, f"{RATE}.gain_slope": 0.0}, {f"{RATE}.gain_far": 1.0}),
     ({"controller.law": "resolved_rate", **ADAPTIVE, f"{RATE}.gain_far": RATE_GAIN}, {f"{RATE}.gain_slope": 3.0}),

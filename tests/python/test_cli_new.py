@@ -480,7 +480,7 @@ def test_cranks_one_by_one(tmp_path: Path) -> None:
         (answers(p28="1e-6"), 'Bandwidth of the loop [Hz]: expected a number from 0.05 to 500, got "1e-6"'),
         (answers(p2="nan"), 'expected a number, got "nan"'),
         (answers(p6="1 2"), 'expected 3 numbers with blanks between, got "1 2"'),
-        (answers(p8="1 15"), 'expected a number <= 0, then one >= 0, got "1 15"'),
+        (answers(p8="1 15"), 'expected a number <= 0, then one >= 0, not both 0, got "1 15"'),
         (answers(p11="1 1 3"), 'expected none larger than the sum of the other two, got "1 1 3"'),
         (answers(p10="60 60 0", p11="0.01 0.01 0.02"), 'expected numbers above 0, got "0.01 0.01 0.02"'),
         (answers(p11="0.01 0.01 0.02 0.1 0 0"), 'expected numbers above 0, got "0.01 0.01 0.02 0.1 0 0"'),

@@ -567,6 +567,7 @@ def test_ctrl_c_is_reported_and_finished_runs_are_written(monkeypatch: pytest.Mo
     run = invoke("--scenarios", "paper", "--laws", "hybrid", "--out", str(tmp_path / "out"))
     assert run.exit_code == 130
     assert "0 of 1 runs were finished" in run.stderr
+    assert "\n0 of 1 run in " in run.stdout
     assert "interrupted" in (tmp_path / "out" / "comparison.md").read_text(encoding="utf-8")
 
 

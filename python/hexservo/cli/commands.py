@@ -383,6 +383,8 @@ def _comparison_report(
         if not row.settled or row.passed_limits:
             yield Text(f"{row.scenario.name}, {row.law}: {row.verdict}: {row.why}", style="yellow")
     runs = f"{len(comparison.rows)} runs" if len(comparison.rows) > 1 else "1 run"
+    if comparison.interrupted:
+        runs = f"{comparison.finished} of {runs}"
     explained = f"columns are explained in {installed_place('docs/compare.md')}"
     yield Text(f"{runs} in {spell_time(elapsed)}; {explained}", style="dim")
     if folder is not None:

@@ -37,8 +37,9 @@ class _Condition:
         return not self.last and any(f"{key}.".startswith(f"{name}.") for name in self.keys)
 
     def differing(self, scenario: Scenario) -> Iterator[str]:
-        """Yield the keys that differ from their defaults in what is subject to the condition."""
-        for key in (key for name in self.keys for key in keys_below(name) if not key.endswith(".enabled")):
+        """Yield the keys that differ from their defaults in what is subject to the condition, and not part of it."""
+        own = {setting for setting, _ in self.needs}
+        for key in (key for name in self.keys for key in keys_below(name) if key not in own):
             value, default = value_at(scenario, key), default_of(key)
             if self.last and not isinstance(value, tuple):  # one number, which is there for the others too
                 continue

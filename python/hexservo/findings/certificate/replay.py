@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
@@ -14,6 +15,8 @@ from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.parameters import Settings, core_parameters
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.version import VERSION
+from hexservo.scenario.wording import number
+from hexservo.scenario.yaml import ScenarioError
 
 # what the samples of two runs are compared by -> unit
 _SAMPLES = {
@@ -35,6 +38,8 @@ _REPLAYED = (
     *("wrench", "fuzzy_output", "leg_forces"),
 )
 _ROUNDING = 1e-9  # of a quantity's largest value
+
+_TOO_LONG = re.compile(r"^simulation\.log_every: expected a log of at most (?P<size>.*) \(log_every of", re.MULTILINE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,10 +140,23 @@ def every_step(scenario: Scenario) -> Result:
 
     Raises
     ------
+    ScenarioError
+        For a run so long that such a log would not fit.
     KeyboardInterrupt
         Where the user stops the run: what is there of it is of no use here.
     """
-    return uninterrupted(simulate(scenario.updated({"simulation.log_every": 1}), log_weights=True))
+    try:
+        return uninterrupted(simulate(scenario.updated({"simulation.log_every": 1}), log_weights=True))
+    except ValueError as error:
+        fits = _TOO_LONG.search(str(error))
+        if fits is None:
+            raise
+        duration = number(scenario.simulation.duration)
+        message = (
+            f"simulation.duration: expected a run whose log of every step fits into {fits['size']}, as a certificate "
+            f"needs it, got {duration} s; shorten it"
+        )
+        raise ScenarioError([message]) from None
 
 
 def replay_of(run: Result, scenario: Scenario, end_time: float, *, own: bool = False) -> Replay:
