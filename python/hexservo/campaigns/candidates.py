@@ -300,7 +300,7 @@ class Candidates:
 
         found = self.steps.take({**numbers, **gains, "shape": np.array(shape)}, compute)
         self.runs += shape[0] * shape[1]
-        return Judged(found["margins"], found["values"], found["distances"], found["violations"])
+        return Judged(**found)
 
     def _case_step(self, numbers: Mapping[str, NDArray[Any]], gains: Mapping[str, Array], count: int) -> Judged:
         """Run cases of one candidate, each as if it were a candidate, as a step; those of no valid scenario are best.
@@ -323,7 +323,7 @@ class Candidates:
         refused = int((found["margins"] == REFUSED).all(axis=1).sum())
         self.refused += refused
         self.runs += count - refused
-        return Judged(found["margins"], found["values"], found["distances"], found["violations"])
+        return Judged(**found)
 
     def _worst_by_candidate(self, margins: Array, batch: BatchResult, shape: tuple[int, int]) -> dict[str, Array]:
         """Return the worst of the runs of each candidate by the names of `Judged`, for a batch of that shape."""

@@ -351,11 +351,8 @@ def _intrinsics(dialogue: Dialogue) -> dict[str, Any]:
 
 
 def _about_home(travel: list[float]) -> str | None:
-    return (
-        None
-        if travel[0] <= 0 <= travel[1] and travel[0] < travel[1]
-        else "expected a number <= 0, then one >= 0, not both 0"
-    )
+    fits = travel[0] <= 0 <= travel[1] and travel[0] < travel[1]
+    return None if fits else "expected a number <= 0, then one >= 0, not both 0"
 
 
 def _image(size: list[float]) -> str | None:

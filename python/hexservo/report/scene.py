@@ -14,7 +14,6 @@ from hexservo.run.leg_motion import leg_motions
 from hexservo.run.samples import along_z, parts, turns_from_home
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.leg_units import leg_units
-from hexservo.scenario.motion import moves
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.pixels import IMAGE_CORNERS, desired_features, image_border
 
@@ -174,9 +173,10 @@ def _targets(result: Result, camera: _core.Camera, chosen: NDArray[np.intp]) -> 
     They are lifted from the image and the depth of each sample.
     """
     scenario = result.scenario
-    moving = scenario.target.motion.kind != "none" or (scenario.target.frame == "world" and moves(scenario.base_motion))
     samples = (result.position, result.quaternion, result.features, result.depth)
-    return np.array([_core.lift(camera, *(of[i] for of in samples)) for i in (chosen if moving else chosen[:1])])
+    return np.array(
+        [_core.lift(camera, *(of[i] for of in samples)) for i in (chosen if scenario.target_moves else chosen[:1])]
+    )
 
 
 def _limits_used(result: Result, chosen: NDArray[np.intp]) -> tuple[Array, NDArray[np.intp], tuple[str, ...]]:

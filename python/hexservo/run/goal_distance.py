@@ -9,14 +9,13 @@ import numpy as np
 
 from hexservo.run.probe import probe
 from hexservo.run.samples import rotation_vectors
-from hexservo.scenario.motion import moves
+from hexservo.scenario.pixels import desired_features
 from hexservo.scenario.rotations import quaternion_product
 
 if TYPE_CHECKING:
     from hexservo.run.result import Result
 
-INEXACT = 0.5  # [px], as far as ordinary noise takes a goal image that was measured from the image of its pose
-
+_INEXACT = 0.5  # [px], as far as ordinary noise takes a goal image that was measured from the image of its pose
 _FEWEST = 4  # points whose image belongs to one pose
 
 
@@ -28,6 +27,15 @@ class GoalDistance:
     angle: float  # [rad]
     misfit: float  # largest feature error of that pose [px]: of a measured goal image there is none without
     motion: float  # by which the shift alone, or the rotation alone, moves a feature [px]; the larger
+
+
+def inexact(band: float) -> float:
+    """Return how far a feature of a pose with the goal image may be from its goal, for a settling band [px].
+
+    A measured or rounded goal image is the image of no pose exactly; and no run settles at a pose that leaves more than
+    the band.
+    """
+    return min(band, _INEXACT)
 
 
 def goal_distance(result: Result) -> GoalDistance | None:
@@ -43,26 +51,22 @@ def goal_distance(result: Result) -> GoalDistance | None:
         image), a goal that moves in B, a law that follows a direction, and a run that ended early.
     """
     scenario = result.scenario
-    target, law = scenario.target, scenario.controller
-    at_rest = target.motion.kind == "none" and not (target.frame == "world" and moves(scenario.base_motion))
-    directed = result.by_law and law.traits.output == "pose" and law.tracking.follow == "direction"
-    unknown = scenario.camera.convention != "eye_in_hand" or target.count < _FEWEST
-    if result.outcome != "completed" or unknown or not at_rest or directed:
+    directed = result.by_law and getattr(scenario.controller.gains, "follow", "pose") == "direction"
+    unknown = scenario.camera.convention != "eye_in_hand" or scenario.target.count < _FEWEST
+    if result.outcome != "completed" or unknown or scenario.target_moves or directed:
         return None
     parts = probe(scenario)
     position, quaternion = parts.goal_minima()
     if not len(position):
         return None
-    desired = result.features[-1] + result.feature_error[-1]
-    misfit = np.abs(parts.image(position, quaternion)[0] - desired).max(axis=1)
-    shown = misfit <= min(scenario.metrics.band, INEXACT)
+    misfit = np.abs(parts.image(position, quaternion)[0] - desired_features(scenario)).max(axis=1)
+    shown = misfit <= inexact(scenario.metrics.band)
     if not shown.any():
         return None
     position, quaternion, misfit = position[shown], quaternion[shown], misfit[shown]
     shift = np.linalg.norm(result.position[-1] - position, axis=1)
-    inverse = quaternion * [1.0, -1.0, -1.0, -1.0]
-    turns = [quaternion_product(result.quaternion[-1:], each[None])[0] for each in inverse]
-    angle = np.linalg.norm(rotation_vectors(np.array(turns)), axis=1)
+    turns = quaternion_product(result.quaternion[-1], quaternion * [1.0, -1.0, -1.0, -1.0])
+    angle = np.linalg.norm(rotation_vectors(turns), axis=1)
     one = int(np.argmin(np.hypot(shift / np.abs(result.depth[-1]).mean(), angle)))
     places = np.stack([position[one], result.position[-1]]), np.stack([result.quaternion[-1], quaternion[one]])
     motion = np.abs(parts.image(*places)[0] - result.features[-1]).max()  # NaN where a point is not in front then

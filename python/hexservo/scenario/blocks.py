@@ -27,7 +27,7 @@ from hexservo.scenario.block import (
 from hexservo.scenario.core_defaults import core_default, from_core
 from hexservo.scenario.drives import Actuators
 from hexservo.scenario.laws import Controller
-from hexservo.scenario.motion import BaseMotion, TargetMotion
+from hexservo.scenario.motion import BaseMotion, TargetMotion, moves
 from hexservo.scenario.plain import plain
 from hexservo.scenario.pose_rules import DisplacementRule, PoseRule
 from hexservo.scenario.presets import MACHINES, ROBOT_PRESETS, machine
@@ -466,6 +466,11 @@ class Blocks(Block):
     def has_unknown_payload(self) -> bool:
         """Whether the platform has a payload that the controller does not know."""
         return self.robot.payload.mass > 0.0 and not self.robot.payload.known
+
+    @property
+    def target_moves(self) -> bool:
+        """Whether the target moves in B: by itself, or at rest in W as the base does."""
+        return self.target.motion.kind != "none" or (self.target.frame == "world" and moves(self.base_motion))
 
 
 @cache

@@ -9,7 +9,7 @@ import numpy as np
 
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene, View
-from hexservo.run.goal_distance import INEXACT
+from hexservo.run.goal_distance import inexact
 from hexservo.scenario.arrays import Array
 
 SHOWN = 1e-6  # [px], an image this close to the goal is the goal but for rounding
@@ -48,21 +48,12 @@ class Goals:
     @property
     def reachable(self) -> bool:
         """Whether a pose with the goal image was found, within `inexact`."""
-        return self.best.largest_residual <= inexact(self.scene)
+        return self.best.largest_residual <= inexact(self.scene.band)
 
     @property
     def shown_at(self) -> Poses | None:
         """The pose with the goal image, within `inexact`; None if none was found."""
         return self.best.view.pose if self.reachable else None
-
-
-def inexact(scene: Scene) -> float:
-    """Return how far a feature of a pose with the goal image may be from its goal [px].
-
-    `INEXACT`, as a measured or rounded goal image is the image of no pose exactly, or the settling band where that is
-    narrower: no run settles at a pose that leaves more.
-    """
-    return min(scene.band, INEXACT)
 
 
 @lru_cache(maxsize=8)  # several parts of an analysis ask

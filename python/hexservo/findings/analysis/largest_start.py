@@ -12,13 +12,14 @@ from typing import TypeAlias
 
 import numpy as np
 
-from hexservo.findings.analysis.goal import find_goals, inexact
+from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.reach import nearest_limit
 from hexservo.findings.analysis.scene import AT_HOME, WIDER, Scene, scene_of
 from hexservo.findings.analysis.tried import ROUNDS, bordering, quarters
 from hexservo.findings.part import Part
 from hexservo.run.batch import metrics_of, simulate_batch, whole
+from hexservo.run.goal_distance import inexact
 from hexservo.run.leg_limits import LimitUse, most_used, overload
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.keys import value_at
@@ -124,7 +125,7 @@ class LargestStart(Part):
     duration: float = 0.0  # [s], of every run
     longer: float = 0.0  # [s], of those of the smallest sizes that fail; 0: there were none
     runs: int = 0
-    starts_at_goal: bool = False  # home has the goal image, within `goal.inexact`
+    starts_at_goal: bool = False  # home has the goal image, within `inexact`
     home_error: float = 0.0  # [px], largest |xi_d - xi| at home
     goal_error: float = 0.0  # [px], the same at the pose of least image error
     own_limit: str = ""  # as `limited_by`, where the goal image has a pose but no goal on the way to it is possible
@@ -171,7 +172,7 @@ def analyse(scenario: Scenario) -> LargestStart:
     trial = _Trial(scenario)
     goals = find_goals(scene)
     assert goals is not None  # as the camera has points
-    at_goal = bool(scene.residual(scene.home) <= inexact(scene))
+    at_goal = bool(scene.residual(scene.home) <= inexact(scene.band))
     directions, own_limit = _directions(
         scene, trial, goals.best.displacement if goals.reachable and not at_goal else None
     )

@@ -44,7 +44,7 @@ _WHITE = 1.3  # ticks over which residuals of a fit that found the true drive ar
 _STARTS = 4  # from which a fit is tried again whose residuals are correlated further
 _WORTH = 10.0  # of the criterion by Bayes: what a limit must gain to count
 _LESS = 0.25  # of what a fit leaves in the part kept apart: with less, commands and joints are exchanged
-_FINER = 8  # steps in a tick that the response is given for, of a log that is not long
+_FINER = 8  # parts of a tick, each in the core's steps: of fits with limits in the end, and of a log that is not long
 _MOST_STEPS = 400_000  # of these
 
 
