@@ -18,20 +18,16 @@ py::array_t<double> drive_response(const py::array_t<double, py::array::c_style 
                                    double position, double rate, double period, double bandwidth, double damping,
                                    double speed_limit, double acceleration_limit) {
   if (commands.ndim() != 1) throw py::value_error("commands: expected shape (n,)");
-  ActuatorParameters<double> parameters;
-  parameters.position.speed_limit = speed_limit;
-  parameters.position.acceleration_limit = acceleration_limit;
-  parameters.position.bandwidth = bandwidth;
-  parameters.position.damping = damping;
-  parameters.transition = leg_transition(bandwidth, damping, period / kLegSteps);
-  PositionedLegs<double> legs(parameters, period, Vector6<double>::Constant(position), Vector6<double>::Constant(rate));
+  const PositionResponse<double> drive{bandwidth, damping, speed_limit, acceleration_limit};
+  const PositionedLeg<double> leg(drive, leg_steps(drive, period), period);
   const auto command = commands.unchecked<1>();
   py::array_t<double> response(commands.shape(0));
   auto out = response.mutable_unchecked<1>();
   for (py::ssize_t tick = 0; tick < command.shape(0); ++tick) {
-    out(tick) = legs.positions()(0);
-    legs.command(Vector6<double>::Constant(command(tick)));
-    legs.advance();
+    out(tick) = position;
+    double way = position - command(tick);
+    leg.advance(way, rate);
+    position = command(tick) + way;
   }
   return response;
 }

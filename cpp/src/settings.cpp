@@ -372,10 +372,15 @@ ActuatorParameters<double> actuator_parameters(const Settings& scenario, double 
   require_keys_with_effect(scenario);
   const ActuatorSettings& settings = scenario.actuators;
   ActuatorParameters<double> actuators{settings, ticks("actuators.delay", settings.delay, period, 0), settings.position,
-                                       settings.motor, Vector4<double>::Zero()};
+                                       settings.motor, LegSteps<double>{}};
   if (actuators.kind == ActuatorKind::position) {
-    const double step = period / static_cast<double>(scenario.simulation.substeps * kLegSteps);
-    actuators.transition = leg_transition(settings.position.bandwidth, settings.position.damping, step);
+    const double substeps = static_cast<double>(scenario.simulation.substeps);
+    actuators.leg_steps = leg_steps(settings.position, period / substeps);
+    if (actuators.leg_steps.number > kMostLegSteps)
+      refuse("simulation.substeps",
+             words("at least ", std::ceil(substeps * actuators.leg_steps.number / kMostLegSteps),
+                   ", with which the steps of the legs follow actuators.position where its limits act"),
+             words(scenario.simulation.substeps));
   }
   if (actuators.delay > kMaxActuatorDelay)
     refuse("actuators.delay",

@@ -22,7 +22,7 @@ ActuatorParameters<double> parameters(const PositionResponse<double>& response, 
   p.kind = ActuatorKind::position;
   p.delay = delay;
   p.position = response;
-  p.transition = leg_transition(response.bandwidth, response.damping, step / kLegSteps);
+  p.leg_steps = leg_steps(response, step);
   return p;
 }
 
@@ -118,6 +118,52 @@ TEST_CASE("where limits begin and end to act the way is of second order in the s
   CHECK(fine <= coarse / 300.0);
 }
 
+TEST_CASE("a response much faster than the loop's step keeps its limits, and its way") {
+  constexpr double kPeriod = 0.02;  // [s]
+  constexpr double kJump = 0.01;    // [m]
+  constexpr int kFine = 500, kTicks = 60;
+  Random random(7602);
+  CAPTURE(random.seed());
+  std::vector<double> commands;
+  for (int tick = 0; tick < kTicks; ++tick)
+    commands.push_back(tick < 20   ? kJump
+                       : tick < 40 ? -0.4 * kJump
+                                   : commands.back() + random.uniform(-0.3, 0.3) * kJump);
+  for (const double turns : {0.1, 0.5, 2.0, 10.0})  // of the response in a step
+    for (const double damping : {0.3, 1.0, 2.0})
+      for (const double share : {0.03, 0.1, 0.3, 0.9}) {  // of what a jump of the command would have without limits
+        CAPTURE(turns);
+        CAPTURE(damping);
+        CAPTURE(share);
+        const double w = kTurn * turns / kPeriod;
+        const PositionResponse<double> response{.bandwidth = turns / kPeriod,
+                                                .damping = damping,
+                                                .speed_limit = share * kJump * w,
+                                                .acceleration_limit = share * kJump * w * w};
+        const auto moved = [&](int steps) {
+          const PositionedLeg<double> leg(response, leg_steps(response, kPeriod / steps), kPeriod / steps);
+          std::vector<double> positions;
+          double position = 0.0, rate = 0.0;
+          for (const double command : commands) {
+            const double from = position;
+            for (int step = 0; step < steps; ++step) {
+              const double before = rate;
+              double x = position - command;
+              leg.advance(x, rate);
+              position = command + x;
+              CHECK(std::abs(rate - before) <= response.acceleration_limit * kPeriod / steps * (1.0 + 1e-9));
+            }
+            // Within a part of a step that is free at its ends the speed may be beyond the limit by (0.1)^2/8 of it.
+            CHECK(std::abs(position - from) <= response.speed_limit * kPeriod * (1.0 + 0.01 / 8.0));
+            positions.push_back(position);
+          }
+          return positions;
+        };
+        const std::vector<double> coarse = moved(1), fine = moved(kFine);
+        for (std::size_t i = 0; i < fine.size(); ++i) CHECK(std::abs(coarse[i] - fine[i]) <= 0.01 * kJump);
+      }
+}
+
 TEST_CASE("lanes move as single legs do") {
   constexpr int kWidth = 4;
   using S = Lanes<kWidth>;
@@ -130,6 +176,7 @@ TEST_CASE("lanes move as single legs do") {
     PositionResponse<double> response{.bandwidth = 10.0 + 10.0 * lane, .damping = 0.5 + 0.4 * lane};
     if (lane == 1) response.speed_limit = 0.02;
     if (lane == 2) response.acceleration_limit = 2.0;
+    if (lane == 3) response = {.bandwidth = 300.0, .damping = 0.4, .speed_limit = 0.3, .acceleration_limit = 500.0};
     const ActuatorParameters<double> single = parameters(response, 2);
     set_lane(pack, lane, single);
     singles.emplace_back(single, kStep, start, Vector6<double>::Zero());

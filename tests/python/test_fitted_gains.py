@@ -17,7 +17,7 @@ from fitted_machines import BAND, MODES, SEED, STARTS, Array, Row, draw, image, 
 from hexservo.cli.commands import app
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check import unlikely
-from hexservo.findings.check_gains import image_delay, of_gains, smoothing_lag, start_forces
+from hexservo.findings.check_gains import actuators_lag, image_delay, of_gains, smoothing_lag, start_forces
 from hexservo.findings.check_keys import keys_without_effect
 from hexservo.run.export import gains_header
 from hexservo.scenario.fitted import chosen_keys, fitted_keys, gains_written, machine_of
@@ -543,6 +543,61 @@ def test_a_late_image_takes_damping_away(paper: hs.Scenario) -> None:
     assert ends[3.0] > 20.0
     predicted = late.updated({"camera.prediction": "encoder"})
     assert image_delay(predicted) == pytest.approx(0.0005)
+
+
+def overshoot(positions: hs.Scenario, bandwidth: float) -> float:
+    """Return how far a platform goes beyond its end, over the way to it."""
+    result = hs.simulate(positions.updated({"controller.pbvs.auto.bandwidth": bandwidth}))
+    assert result.outcome == "completed"
+    pose = np.c_[result.position / 2e-3, 2.0 * result.quaternion[:, 1:] / 0.02]  # a length to which both matter alike
+    left = (pose - pose[-1]) @ (pose[0] - pose[-1])
+    return float(-left.min() / left[0])
+
+
+@pytest.mark.parametrize(
+    ("prediction", "latency", "legs", "depth", "is_delay"),
+    [
+        ("none", 0.1, 20.0, 0.0, True),
+        ("none", 0.04, 20.0, 0.3, True),
+        ("none", 0.1, 1.0, 0.0, False),
+        ("none", 0.2, 2.0, 0.3, True),
+        ("encoder", 0.2, 20.0, 0.3, True),
+        ("encoder", 0.1, 1.0, 0.3, False),
+        ("encoder", 0.2, 2.0, [0.3, -0.3, 0.3, 0.3], False),
+    ],
+)
+def test_legs_that_lag_take_damping_away_by_wrong_depths_alone(
+    prediction: str, latency: float, legs: float, depth: float | list[float], is_delay: bool
+) -> None:
+    """Beyond the bound a delay shows as overshoot; a lag of the second order is milder than a delay."""
+    positions = hs.load_scenario("pi-h824-positions").updated(
+        {
+            "controller.law": "pbvs",
+            "controller.pbvs.auto": {"bandwidth": 1.0, "damping": 1.0},
+            "camera": {"noise": 0.0, "prediction": prediction, "latency": latency},
+            "actuators.position": {"bandwidth": legs, "speed_limit": None},
+            "uncertainty.depth": depth,
+            "simulation.duration": 8.0,
+        }
+    )
+    most = 1.0 / (2 * math.pi * image_delay(positions))
+    beyond = {share: overshoot(positions, share * most) for share in (0.5, 0.9, 1.5)}
+    assert beyond[0.5] < 0.02
+    assert beyond[0.9] < 0.12
+    if is_delay:
+        assert beyond[1.5] > 0.15
+    right = positions.updated({"uncertainty.depth": 0.0, "camera.prediction": "encoder"})
+    assert image_delay(right) == pytest.approx(0.01)  # half a tick
+    assert overshoot(right, 2.0) < 2e-3
+
+
+def test_lag_of_motors_is_that_of_their_servo() -> None:
+    motors = hs.load_scenario("reachy-mini-motors")
+    motor = motors.actuators.motor
+    expected = motors.actuators.delay + (motor.kv + motor.damping) / motor.kp
+    assert actuators_lag(motors) == pytest.approx(expected)
+    other = motors.updated({"actuators.position": {"bandwidth": 2.0, "damping": 0.3}})
+    assert actuators_lag(other) == actuators_lag(motors)
 
 
 @pytest.mark.parametrize(("period", "constant"), [(0.001, 0.033), (0.033, 0.033), (0.04, 0.02)])

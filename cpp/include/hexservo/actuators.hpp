@@ -93,13 +93,28 @@ struct MotorParameters {
   }
 };
 
+/// In which steps a leg whose drive takes positions moves in a Runge-Kutta step of the loop (`leg_steps`).
+template <class S>
+struct LegSteps {
+  S number{1.0};                          ///< of the parts that a leg near its limits takes
+  Vector4<S> whole = Vector4<S>::Zero();  ///< `leg_transition` of the loop's step
+  Vector4<S> part = Vector4<S>::Zero();   ///< the same of a part of it
+
+  template <class V, class... Self>
+  static void visit(V&& v, Self&... self) {
+    v(Field{"number"}, self.number...);
+    v(Field{"whole"}, self.whole...);
+    v(Field{"part"}, self.part...);
+  }
+};
+
 /// The same with their delay.
 template <class S>
 struct ActuatorParameters : ActuatorResponse<S> {
   long long delay = 0;  ///< [ticks], 0 to `kMaxActuatorDelay`, 0
   PositionResponse<S> position{};
   MotorParameters<S> motor{};
-  Vector4<S> transition = Vector4<S>::Zero();  ///< `leg_transition` of a leg's step, where drives take positions
+  LegSteps<S> leg_steps{};  ///< where drives take positions
 
   template <class V, class... Self>
   static void visit(V&& v, Self&... self) {
@@ -107,7 +122,7 @@ struct ActuatorParameters : ActuatorResponse<S> {
     v(Field{"delay"}, self.delay...);
     v(Field{"position"}, self.position...);
     v(Field{"motor"}, self.motor...);
-    v(Field{"transition"}, self.transition...);
+    v(Field{"leg_steps"}, self.leg_steps...);
   }
 };
 

@@ -4,10 +4,12 @@
 ///
 ///     q-ddot = clip(w^2 (q* - q) - 2 zeta w q-dot, -a_max, a_max),  |q-dot| <= v_max,  w = 2 pi bandwidth
 ///
-/// q* is the command of `actuators.delay` ticks before; before the first one that arrives it is where the run starts. A
-/// leg moves in `kLegSteps` steps for every Runge-Kutta step of the loop. A step in which no limit acts is exact, by
-/// the transition matrix of the response; so is one that is all at a limit. Where a limit begins or ends to act within
-/// a step, which happens a few times for a command, the motion is of second order in the step.
+/// q* is the command of `actuators.delay` ticks before; before the first one that arrives it is where the run starts.
+/// w^2 (q - q*)^2 + q-dot^2 never grows while no limit acts. Where it is so small that none can act in a Runge-Kutta
+/// step of the loop, the leg moves over all of it by the transition matrix of the response, exactly. Elsewhere it moves
+/// in `leg_steps` steps: one in which no limit acts is exact, and so is one that is all at a limit; where a limit
+/// begins or ends to act within a step, which happens a few times for a command, the motion is of second order in the
+/// step.
 ///
 /// The platform follows its legs: its dynamics do not enter the motion, and tell what efforts it takes. Legs that its
 /// dynamics push back are those of motors.hpp.
@@ -15,11 +17,14 @@
 
 #include "hexservo/actuators.hpp"
 
+#include <algorithm>
 #include <cmath>
 
 namespace hexservo {
 
-inline constexpr int kLegSteps = 8;  ///< steps of the legs in a Runge-Kutta step of the loop
+inline constexpr double kLegSteps = 8;         ///< least steps of a leg near its limits in a Runge-Kutta step
+inline constexpr double kMostLegSteps = 4096;  ///< most of them
+inline constexpr double kLegDecay = 0.1;       ///< most time of such a step, over that of the response's fastest mode
 
 /// The response from x = q - q* and q-dot to both after a step, row by row: [x; q-dot] <- M [x; q-dot].
 /// @param bandwidth w/(2 pi) [Hz]; @param damping zeta [1]; @param step [s]
@@ -44,23 +49,101 @@ inline Vector4<double> leg_transition(double bandwidth, double damping, double s
   return {cosine + decay * sine, sine, -w * w * sine, cosine - decay * sine};
 }
 
+/// In which steps a leg moves in one of the loop: those near its limits resolve the response, so that limits hold
+/// within them too.
+/// @param step of the loop's Runge-Kutta method [s]
+inline LegSteps<double> leg_steps(const PositionResponse<double>& response, double step) {
+  const double w = 6.283185307179586 * response.bandwidth, damping = response.damping;
+  const double fastest = w * (damping > 1.0 ? damping + std::sqrt(damping * damping - 1.0) : 1.0);  // of its modes
+  const bool limited = std::isfinite(response.speed_limit) || std::isfinite(response.acceleration_limit);
+  const double number = limited ? std::max(kLegSteps, std::ceil(step * fastest / kLegDecay)) : kLegSteps;
+  return {.number = number,
+          .whole = leg_transition(response.bandwidth, damping, step),
+          .part = leg_transition(response.bandwidth, damping, step / number)};
+}
+
+/// How one leg moves in a Runge-Kutta step of the loop.
+template <class S>
+class PositionedLeg {
+ public:
+  /// @param step of the loop's Runge-Kutta method [s], to which `steps` belong
+  PositionedLeg(const PositionResponse<S>& response, const LegSteps<S>& steps, double step)
+      : steps_(steps),
+        stiffness_(square(S(S(6.283185307179586) * response.bandwidth))),
+        damping_(S(2.0 * 6.283185307179586) * response.bandwidth * response.damping),
+        speed_(response.speed_limit),
+        acceleration_(response.acceleration_limit),
+        part_(S(step) / steps.number) {
+    // |q-ddot| <= w sqrt(1 + 4 zeta^2) sqrt(energy), by Cauchy and Schwarz.
+    const S of_acceleration = square(acceleration_) / (stiffness_ + square(damping_));
+    free_energy_ = min(square(speed_), of_acceleration);
+  }
+
+  const S& speed_limit() const noexcept { return speed_; }  ///< [m/s], or [rad/s]
+
+  /// q-ddot [m/s^2], or [rad/s^2]. @param x q - q*; @param v q-dot
+  S acceleration(const S& x, const S& v) const noexcept {
+    const S a = limited(linear(x, v));
+    return select(((v >= speed_) & (a > S(0.0))) | ((v <= -speed_) & (a < S(0.0))), S(0.0), a);
+  }
+
+  /// A Runge-Kutta step of the loop. @param x q - q*; @param v q-dot
+  void advance(S& x, S& v) const noexcept {
+    const Mask<S> free = stiffness_ * square(x) + square(v) <= free_energy_;
+    const S whole_x = steps_.whole(0) * x + steps_.whole(1) * v, whole_v = steps_.whole(2) * x + steps_.whole(3) * v;
+    if (!all(free)) [[unlikely]]
+      advance_in_parts(x, v);
+    x = select(free, whole_x, x);
+    v = select(free, whole_v, v);
+  }
+
+ private:
+  static S square(const S& value) { return value * value; }
+  S linear(const S& x, const S& v) const noexcept { return S(0.0) - stiffness_ * x - damping_ * v; }
+  S limited(const S& a) const noexcept { return clip(a, S(-acceleration_), acceleration_); }
+
+  void advance_in_parts(S& x, S& v) const noexcept {
+    using std::abs;
+    const S& h = part_;
+    for (S step(0.0); any(step < steps_.number); step += S(1.0)) {
+      const Mask<S> moves = step < steps_.number;
+      const S a = linear(x, v);
+      const S free_x = steps_.part(0) * x + steps_.part(1) * v, free_v = steps_.part(2) * x + steps_.part(3) * v;
+      const Mask<S> free = (abs(a) <= acceleration_) & (abs(linear(free_x, free_v)) <= acceleration_) &
+                           (abs(v) <= speed_) & (abs(free_v) <= speed_);
+      S end_x = free_x, end_v = free_v;
+      if (!all(free)) {
+        const S middle_v = clip(S(v + S(0.5) * h * limited(a)), S(-speed_), speed_);
+        const S middle_x = x + S(0.25) * h * (v + middle_v);
+        const S mean = limited(linear(middle_x, middle_v)), reached = v + h * mean;
+        const S bound = select(reached > S(0.0), speed_, S(-speed_)), beyond = reached - bound;
+        const Mask<S> too_fast = abs(reached) > speed_;
+        // What lies beyond the largest speed is a triangle over the rest of the step.
+        const S way = h * (v + S(0.5) * h * mean) - select(too_fast, S(S(0.5) * beyond * beyond / mean), S(0.0));
+        end_x = select(free, free_x, S(x + way));
+        end_v = select(free, free_v, select(too_fast, bound, reached));
+      }
+      x = select(moves, end_x, x);
+      v = select(moves, end_v, v);
+    }
+  }
+
+  LegSteps<S> steps_;
+  S stiffness_, damping_;   ///< w^2 [1/s^2], 2 zeta w [1/s]
+  S speed_, acceleration_;  ///< limits
+  S free_energy_;           ///< of w^2 x^2 + v^2: up to it no limit acts [m^2/s^2], or [rad^2/s^2]
+  S part_;                  ///< of a leg near its limits [s]
+};
+
 /// Six legs on their way to where they are commanded.
 template <class S>
 class PositionedLegs {
  public:
-  /// @param step of the loop's Runge-Kutta method [s], to which the parameters' `transition` belongs
+  /// @param step of the loop's Runge-Kutta method [s], to which the parameters' `leg_steps` belong
   /// @param positions, rates where a run starts [m; m/s], or [rad; rad/s]
   PositionedLegs(const ActuatorParameters<S>& p, double step, const Vector6<S>& positions, const Vector6<S>& rates)
-      : commands_(p.delay, positions),
-        transition_(p.transition),
-        stiffness_(square(S(S(6.283185307179586) * p.position.bandwidth))),
-        damping_(S(2.0 * 6.283185307179586) * p.position.bandwidth * p.position.damping),
-        speed_(p.position.speed_limit),
-        acceleration_(p.position.acceleration_limit),
-        step_(step / kLegSteps),
-        positions_(positions),
-        rates_(rates) {
-    for (int i = 0; i < 6; ++i) rates_(i) = clip(rates_(i), S(-speed_), speed_);
+      : commands_(p.delay, positions), leg_(p.position, p.leg_steps, step), positions_(positions), rates_(rates) {
+    for (int i = 0; i < 6; ++i) rates_(i) = clip(rates_(i), S(-leg_.speed_limit()), leg_.speed_limit());
   }
 
   /// A tick: takes over where the legs shall go.
@@ -72,50 +155,22 @@ class PositionedLegs {
   /// q-ddot_i [m/s^2], or [rad/s^2]: just after a command.
   Vector6<S> accelerations() const noexcept {
     Vector6<S> out;
-    for (int i = 0; i < 6; ++i) {
-      const S &v = rates_(i), a = limited(linear(S(positions_(i) - wanted_(i)), v));
-      out(i) = select(((v >= speed_) & (a > S(0.0))) | ((v <= -speed_) & (a < S(0.0))), S(0.0), a);
-    }
+    for (int i = 0; i < 6; ++i) out(i) = leg_.acceleration(positions_(i) - wanted_(i), rates_(i));
     return out;
   }
 
   /// A Runge-Kutta step of the loop.
   void advance() noexcept {
-    using std::abs;
-    const S h(step_);
-    for (int step = 0; step < kLegSteps; ++step)
-      for (int i = 0; i < 6; ++i) {
-        const S x = positions_(i) - wanted_(i), v = rates_(i), a = linear(x, v);
-        const S free_x = transition_(0) * x + transition_(1) * v, free_v = transition_(2) * x + transition_(3) * v;
-        const Mask<S> free = (abs(a) <= acceleration_) & (abs(linear(free_x, free_v)) <= acceleration_) &
-                             (abs(v) <= speed_) & (abs(free_v) <= speed_);
-        S end_x = free_x, end_v = free_v;
-        if (!all(free)) {
-          const S middle_v = clip(S(v + S(0.5) * h * limited(a)), S(-speed_), speed_);
-          const S middle_x = x + S(0.25) * h * (v + middle_v);
-          const S mean = limited(linear(middle_x, middle_v)), reached = v + h * mean;
-          const S bound = select(reached > S(0.0), speed_, S(-speed_)), beyond = reached - bound;
-          const Mask<S> too_fast = abs(reached) > speed_;
-          // What lies beyond the largest speed is a triangle over the rest of the step.
-          const S way = h * (v + S(0.5) * h * mean) - select(too_fast, S(S(0.5) * beyond * beyond / mean), S(0.0));
-          end_x = select(free, free_x, S(x + way));
-          end_v = select(free, free_v, select(too_fast, bound, reached));
-        }
-        positions_(i) = wanted_(i) + end_x;
-        rates_(i) = end_v;
-      }
+    for (int i = 0; i < 6; ++i) {
+      S x = positions_(i) - wanted_(i);
+      leg_.advance(x, rates_(i));
+      positions_(i) = wanted_(i) + x;
+    }
   }
 
  private:
-  static S square(const S& value) { return value * value; }
-  S linear(const S& x, const S& v) const noexcept { return S(0.0) - stiffness_ * x - damping_ * v; }
-  S limited(const S& a) const noexcept { return clip(a, S(-acceleration_), acceleration_); }
-
   DelayLine<S> commands_;
-  Vector4<S> transition_;
-  S stiffness_, damping_;   ///< w^2 [1/s^2], 2 zeta w [1/s]
-  S speed_, acceleration_;  ///< limits
-  double step_;             ///< of a leg [s]
+  PositionedLeg<S> leg_;
   Vector6<S> positions_, rates_;
   Vector6<S> wanted_ = positions_;  ///< q*
 };

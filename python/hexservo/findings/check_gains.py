@@ -171,20 +171,31 @@ def _out_of_bound(key: str, side: str, bandwidth: float, bound: float) -> str:
 def image_delay(scenario: Scenario) -> float:
     """Return how late the image acts, on average [s]: latency, half a frame's period, half a tick, filter, actuators.
 
-    Frames that the joint sensors carry along count as no delay.
+    Joints carry a predicted image along, and where drives take positions the image is seen from where the legs are sent
+    (docs/model.md, section 7): then age and lag act in the share delta/(1 + delta) of the motion, over all points, that
+    depths which are too large by delta carry wrongly. Depths that are too small take nothing away. No stamp shows the
+    lag of a filter.
     """
     if scenario.simulation.mode != SAMPLED_MODE:
         return 0.0
-    camera, actuators = scenario.camera, scenario.actuators
-    delay = 0.5 * scenario.simulation.step + actuators.delay
-    if actuators.takes_positions:
-        delay += actuators.position.damping / (math.pi * actuators.position.bandwidth)
-    if actuators.bandwidth is not None:
-        delay += 1.0 / (2.0 * math.pi * actuators.bandwidth)
-    delay += smoothing_lag(scenario)
-    if camera.prediction == "none":
-        delay += image_age(scenario)
-    return delay
+    age, late = image_age(scenario), actuators_lag(scenario)
+    too_far = np.atleast_1d(scenario.uncertainty.depth)
+    carried = max(float(np.mean(too_far / (1.0 + too_far))), 0.0)
+    if scenario.camera.prediction == "encoder":
+        age *= carried
+    if scenario.actuators.takes_positions:
+        late *= carried
+    return 0.5 * scenario.simulation.step + smoothing_lag(scenario) + age + late
+
+
+def actuators_lag(scenario: Scenario) -> float:
+    """Return how late forces are, or legs that take positions: delay, and lag of an even motion [s]."""
+    actuators = scenario.actuators
+    if actuators.kind == "position":
+        return actuators.delay + actuators.position.damping / (math.pi * actuators.position.bandwidth)
+    if actuators.kind == "position_torque":  # kp (q* - q) = (kv + damping) q-dot
+        return actuators.delay + (actuators.motor.kv + actuators.motor.damping) / actuators.motor.kp
+    return actuators.delay + (1.0 / (2.0 * math.pi * actuators.bandwidth) if actuators.bandwidth is not None else 0.0)
 
 
 def smoothing_lag(scenario: Scenario) -> float:
