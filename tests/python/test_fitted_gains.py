@@ -555,28 +555,33 @@ def overshoot(positions: hs.Scenario, bandwidth: float) -> float:
 
 
 @pytest.mark.parametrize(
-    ("prediction", "latency", "legs", "depth", "is_delay"),
+    ("prediction", "latency", "stamped", "legs", "depth", "is_delay"),
     [
-        ("none", 0.1, 20.0, 0.0, True),
-        ("none", 0.04, 20.0, 0.3, True),
-        ("none", 0.1, 1.0, 0.0, False),
-        ("none", 0.2, 2.0, 0.3, True),
-        ("encoder", 0.2, 20.0, 0.3, True),
-        ("encoder", 0.1, 1.0, 0.3, False),
-        ("encoder", 0.2, 2.0, [0.3, -0.3, 0.3, 0.3], False),
+        ("none", 0.1, 0.0, 20.0, 0.0, True),
+        ("none", 0.04, 0.0, 20.0, 0.3, True),
+        ("none", 0.1, 0.0, 1.0, 0.0, False),
+        ("none", 0.2, 0.0, 2.0, 0.3, True),
+        ("encoder", 0.2, 0.0, 20.0, 0.3, True),
+        ("encoder", 0.1, 0.0, 1.0, 0.3, False),
+        ("encoder", 0.2, 0.0, 2.0, [0.3, -0.3, 0.3, 0.3], False),
+        ("encoder", 0.2, -0.06, 20.0, 0.0, True),
+        ("encoder", 0.2, 0.06, 20.0, 0.0, False),
     ],
 )
 def test_legs_that_lag_take_damping_away_by_wrong_depths_alone(
-    prediction: str, latency: float, legs: float, depth: float | list[float], is_delay: bool
+    prediction: str, latency: float, stamped: float, legs: float, depth: float | list[float], is_delay: bool
 ) -> None:
-    """Beyond the bound a delay shows as overshoot; a lag of the second order is milder than a delay."""
+    """Beyond the bound a delay shows as overshoot; a lag of the second order is milder than a delay.
+
+    `stamped` is how long before their exposure frames are stamped.
+    """
     positions = hs.load_scenario("pi-h824-positions").updated(
         {
             "controller.law": "pbvs",
             "controller.pbvs.auto": {"bandwidth": 1.0, "damping": 1.0},
             "camera": {"noise": 0.0, "prediction": prediction, "latency": latency},
             "actuators.position": {"bandwidth": legs, "speed_limit": None},
-            "uncertainty.depth": depth,
+            "uncertainty": {"depth": depth, "latency": stamped},
             "simulation.duration": 8.0,
         }
     )
@@ -586,7 +591,7 @@ def test_legs_that_lag_take_damping_away_by_wrong_depths_alone(
     assert beyond[0.9] < 0.12
     if is_delay:
         assert beyond[1.5] > 0.15
-    right = positions.updated({"uncertainty.depth": 0.0, "camera.prediction": "encoder"})
+    right = positions.updated({"uncertainty": {"depth": 0.0, "latency": 0.0}, "camera.prediction": "encoder"})
     assert image_delay(right) == pytest.approx(0.01)  # half a tick
     assert overshoot(right, 2.0) < 2e-3
 

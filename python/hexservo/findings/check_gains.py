@@ -173,8 +173,9 @@ def image_delay(scenario: Scenario) -> float:
 
     Joints carry a predicted image along, and where drives take positions the image is seen from where the legs are sent
     (docs/model.md, section 7): then age and lag act in the share delta/(1 + delta) of the motion, over all points, that
-    depths which are too large by delta carry wrongly. Depths that are too small take nothing away. No stamp shows the
-    lag of a filter.
+    depths which are too large by delta carry wrongly. Depths that are too small take nothing away. A frame with
+    a wrong stamp is carried too far or too short by that time, and both take as much. No stamp shows the lag of a
+    filter.
     """
     if scenario.simulation.mode != SAMPLED_MODE:
         return 0.0
@@ -182,7 +183,7 @@ def image_delay(scenario: Scenario) -> float:
     too_far = np.atleast_1d(scenario.uncertainty.depth)
     carried = max(float(np.mean(too_far / (1.0 + too_far))), 0.0)
     if scenario.camera.prediction == "encoder":
-        age *= carried
+        age = carried * age + abs(scenario.uncertainty.latency)
     if scenario.actuators.takes_positions:
         late *= carried
     return 0.5 * scenario.simulation.step + smoothing_lag(scenario) + age + late
