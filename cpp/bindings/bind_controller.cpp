@@ -32,7 +32,7 @@ void take_numbers(const char* name, const py::object& value, py::ssize_t count, 
   };
   if (!array) {
     PyErr_Clear();
-    refuse("something else (" + std::string(py::str(py::type::of(value).attr("__name__"))) + ")");
+    refuse(kind_of(value));
   }
   if (array.ndim() != 1 || array.shape(0) != count) refuse("shape " + std::string(py::str(array.attr("shape"))));
   std::copy_n(array.data(), count, to);

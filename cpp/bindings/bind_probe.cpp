@@ -57,9 +57,7 @@ class Given {
       throw std::invalid_argument(std::string(name) + ": expected numbers of shape " + shape_text(expected) + ", got " +
                                   got);
     };
-    if (!array_) {
-      refuse("something else (" + std::string(py::str(py::type::of(value).attr("__name__"))) + ")");
-    }
+    if (!array_) refuse(kind_of(value));
     const Shape shape(array_.shape(), array_.shape() + array_.ndim());
     bool fits = shape.size() == expected.size();
     for (std::size_t i = 0; fits && i < shape.size(); ++i) fits = shape[i] == expected[i] || (i == 0 && n < 0);

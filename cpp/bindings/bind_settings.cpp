@@ -132,6 +132,9 @@ void bind_traits(py::module_& m) {
       .def_property_readonly(
           "inverse", [](const T& t) { return text(t.inverse); },
           "gain M of (J^T J + M)^-1, which takes an image error to a pose error; empty: none")
+      .def_property_readonly(
+          "viscosity", [](const T& t) { return text(t.viscosity); },
+          "gain K of chi-dot + K^-1 (tau - G), how a platform without mass takes positions; empty: it has its mass")
       .def_readonly("points", &T::points, "gains may ask for the assumed points")
       .def_readonly("depth", &T::depth, "the measured depths enter")
       .def_readonly("prior", &T::prior, "the pose of the joint sensors, weighed by the gain prior")

@@ -80,10 +80,17 @@ void require_finite(const char* name, const Eigen::MatrixBase<Derived>& value) {
     throw std::invalid_argument(std::string(name) + ": expected finite numbers, got NaN or infinity");
 }
 
-/// Whether an array holds text or complex numbers: a conversion would turn digits into numbers, or leave out imaginary
-/// parts.
+/// Whether an array holds text, complex numbers or booleans: a conversion would turn digits and truth into numbers, or
+/// leave out imaginary parts.
 inline bool holds_no_real_numbers(const py::array& array) {
-  return std::string_view("SUc").find(array.dtype().kind()) != std::string_view::npos;
+  return std::string_view("SUcb").find(array.dtype().kind()) != std::string_view::npos;
+}
+
+/// What was given in place of numbers, for messages.
+inline std::string kind_of(const py::object& value) {
+  if (py::isinstance<py::array>(value))
+    return "an array of " + std::string(py::str(py::reinterpret_borrow<py::array>(value).dtype()));
+  return "something else (" + std::string(py::str(py::type::of(value).attr("__name__"))) + ")";
 }
 
 /// A pose from position [m] and quaternion (w, x, y, z) of any length but zero.

@@ -230,9 +230,11 @@ FrameSettings<double> frame_settings(const CameraSettings& camera, double late, 
            words(late));
   if (camera.smoothing > 0.0) frames.kept = std::exp(-static_cast<double>(frames.period) * period / camera.smoothing);
   // In ticks, since the sum of three rounded times may be more than a timeout that equals it; infinite: never too old.
-  const auto oldest = static_cast<double>(frames.period + frames.latency + frames.jitter);
+  const auto oldest = static_cast<double>(frames.period + oldest_stamp(frames));
   if (!(std::round(camera.timeout / period) >= oldest))
-    refuse("camera.timeout", words("at least period, latency and latency_jitter together, ", oldest * period, " s"),
+    refuse("camera.timeout",
+           words("at least period, latency and latency_jitter together",
+                 frames.early > 0 ? ", and uncertainty.latency" : "", ", ", oldest * period, " s"),
            words(camera.timeout));
   frames.timeout = std::isfinite(camera.timeout)
                        ? static_cast<double>(ticks("camera.timeout", camera.timeout, period, 1))
@@ -343,9 +345,9 @@ template <class Law, int N>
 void require_motion(const Settings& settings, const LoopParameters<double, Law, N>& p) {
   if (p.mode != LoopMode::sampled || !takes_positions(p.actuators.kind)) return;
   const std::string block = words("controller.", Law::traits.name, ".");
-  if constexpr (requires { Law::viscosity(p.gains); }) {
+  if constexpr (!Law::traits.viscosity.empty()) {
     if (!(Law::viscosity(p.gains).minCoeff() > 0.0))
-      refuse(block + (Law::traits.output == LawOutput::twist ? "ki" : "kd"),
+      refuse(words(block, Law::traits.viscosity),
              "numbers > 0 where actuators.kind is not force: the commanded twist is what the law adds, over them",
              words(Law::viscosity(p.gains).minCoeff()));
     if (settings.controller.virtual_platform.damping != Vector6<double>::Zero())
@@ -373,15 +375,8 @@ ActuatorParameters<double> actuator_parameters(const Settings& scenario, double 
   const ActuatorSettings& settings = scenario.actuators;
   ActuatorParameters<double> actuators{settings, ticks("actuators.delay", settings.delay, period, 0), settings.position,
                                        settings.motor, LegSteps<double>{}};
-  if (actuators.kind == ActuatorKind::position) {
-    const double substeps = static_cast<double>(scenario.simulation.substeps);
-    actuators.leg_steps = leg_steps(settings.position, period / substeps);
-    if (actuators.leg_steps.number > kMostLegSteps)
-      refuse("simulation.substeps",
-             words("at least ", std::ceil(substeps * actuators.leg_steps.number / kMostLegSteps),
-                   ", with which the steps of the legs follow actuators.position where its limits act"),
-             words(scenario.simulation.substeps));
-  }
+  if (actuators.kind == ActuatorKind::position)
+    actuators.leg_steps = leg_steps(settings.position, period / static_cast<double>(scenario.simulation.substeps));
   if (actuators.delay > kMaxActuatorDelay)
     refuse("actuators.delay",
            words("at most ", kMaxActuatorDelay, " servo periods (", kMaxActuatorDelay * period, " s)"),

@@ -292,6 +292,21 @@ def test_the_fastest_rate_of_a_twist_on_legs_that_take_positions_is_its_gain() -
     assert fastest_rate(scene_of(scenario)) == pytest.approx(3.0, rel=1e-3)  # M leaves 1e-4 of a shift
 
 
+def test_the_fastest_rate_of_pbvs_on_legs_that_take_positions_is_its_stiffness_over_its_damping() -> None:
+    """Both gains times 100 are the same law of a platform without mass; a thousandth of the damping is ten a tick."""
+    law = {"controller.law": "pbvs", "simulation.step": 0.001, "actuators.delay": 0.0}
+    base = hs.load_scenario("pi-h824-positions").updated(law)
+    gains = base.controller.gains
+    kp, kd = np.asarray(gains.kp), np.asarray(gains.kd)
+    own = fastest_rate(scene_of(base))
+    assert own == pytest.approx(float((kp / kd).max()), rel=1e-3)  # M
+    both = base.updated({"controller.pbvs": {"kp": 100.0 * kp, "kd": 100.0 * kd}})
+    assert fastest_rate(scene_of(both)) == pytest.approx(own, rel=1e-9)
+    np.testing.assert_allclose(hs.simulate(both).position, hs.simulate(base).position, atol=1e-9)
+    stiff = base.updated({"controller.pbvs.kd": 1e-3 * kd})
+    only(stiff, "simulation.step: a servo period of 1 ms is coarser")
+
+
 def test_the_fastest_rate_is_that_of_a_damper_by_hand(paper: hs.Scenario) -> None:
     """Kelly without stiffness: the poles are k_d/m and k_d/I of the actual plant, (1 - delta_D) of the estimate."""
     damped = {"controller.law": "kelly", "controller.kelly.kp": 0.0, "controller.kelly.kd": [0.5] * 3 + [1e-9] * 3}
@@ -355,6 +370,7 @@ def test_noise_that_the_filter_takes_for_a_jump() -> None:
     assert "set it to 0.755" in only(head.updated({"camera.noise": 1.51 * assumed}), start)
     rounded = {"camera.noise": 0.0, "camera.quantisation": 1.51 * assumed * math.sqrt(12.0)}  # as much
     assert "set it to 0.755" in only(head.updated(rounded), start)
+    assert "at nearly every frame" in only(head.updated({"camera.noise": 100.0 * assumed}), start)
     known = {"camera.noise": 1.1, start: 1.1}
     assert not any(line.startswith(start) for line in unlikely(head.updated(known)))
 
@@ -642,6 +658,10 @@ WITHOUT_EFFECT: list[tuple[dict[str, Any], dict[str, Any]]] = [
     ({"simulation.mode": "sampled"}, {"camera.on_lost": "predict"}),
     ({"simulation.mode": "sampled"}, {"camera.gate": 5.0}),
     ({"simulation.mode": "sampled"}, {"camera.gate": 5.0, "camera.on_lost": "stop"}),
+    (
+        {"simulation.mode": "sampled", "actuators.kind": "position_torque", "simulation.substeps": 10},
+        {"actuators.position.bandwidth": 2.0, "actuators.position.damping": 0.3},
+    ),
     ({"simulation.mode": "sampled"}, {"sensors.noise": 1e-5, "sensors.period": 0.002, "sensors.rate": True}),
     ({"simulation.mode": "sampled"}, {"sensors.resolution": 1e-5}),
     ({"simulation.mode": "sampled"}, {"base_motion.amplitude": [1.0, 0.0, 0.0], "base_motion.frequency": 3.0}),

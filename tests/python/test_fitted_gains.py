@@ -596,6 +596,34 @@ def test_legs_that_lag_take_damping_away_by_wrong_depths_alone(
     assert overshoot(right, 2.0) < 2e-3
 
 
+@pytest.mark.parametrize("law", ["pbvs", "resolved_rate"])
+@pytest.mark.parametrize("damping", [0.7, 1.0, 2.0])
+def test_a_platform_without_mass_has_one_pole(law: str, damping: float) -> None:
+    """On drives that take positions both laws move it at omega/(2 zeta) times the error."""
+    frequency = 1.0
+    positions = hs.load_scenario("pi-h824-positions").updated(
+        {
+            "controller": {"law": law, law: {"auto": {"bandwidth": frequency, "damping": damping}}},
+            "camera": {"noise": 0.0, "prediction": "encoder"},
+            "actuators": {"delay": 0.0, "position": {"bandwidth": 2000.0, "speed_limit": None}},
+            "simulation.step": 0.005,
+            "camera.period": 0.005,
+            "camera.latency": 0.0,
+            "simulation.duration": 1.0,
+        }
+    )
+    if law == "pbvs":
+        positions = positions.updated({"controller.pbvs.prior": 0.0})
+    else:
+        positions = positions.updated({"controller.resolved_rate.damping": 0.0})
+    run = hs.simulate(positions)
+    left = np.linalg.norm(run.feature_error, axis=1)
+    late = (run.time > 0.2) & (left > 1e-3 * left[0])
+    rate = -np.polyfit(run.time[late], np.log(left[late]), 1)[0]
+    step = 0.005 * math.pi * frequency / damping  # the twist of a tick is held: rate is that of ln(1 - step)
+    assert rate == pytest.approx(math.pi * frequency / damping * (1.0 + step / 2.0), rel=0.03)
+
+
 def test_lag_of_motors_is_that_of_their_servo() -> None:
     motors = hs.load_scenario("reachy-mini-motors")
     motor = motors.actuators.motor

@@ -38,7 +38,10 @@ METRICS = ("peak_leg_speed", "peak_base_joint", "peak_platform_joint")
 
 
 def peaks(result: hs.Result) -> dict[str, Array]:
-    """Kind -> (n, 6): leg rates [m/s] by H^T, and angles from home [rad], of the samples of a run."""
+    """Kind -> (n, 6): leg rates [m/s] by H^T, and angles from home [rad], of the samples of a run.
+
+    A rate is at least the mean since the sample before.
+    """
     hexapod = _core.Hexapod(core_parameters(result.scenario).robot)
 
     def directions(position: Array, quaternion: Array) -> tuple[Array, Array, Array]:
@@ -58,7 +61,10 @@ def peaks(result: hs.Result) -> dict[str, Array]:
         rows["speed"].append(np.abs((in_base * (twist[:3] + np.cross(twist[3:], arms))).sum(axis=1)))
         rows["base_joint"].append(angles(in_base, home[0]))
         rows["platform_joint"].append(angles(in_platform, home[1]))
-    return {kind: np.array(values) for kind, values in rows.items()}
+    found = {kind: np.array(values) for kind, values in rows.items()}
+    means = np.abs(np.diff(result.leg_lengths, axis=0)) / np.diff(result.time)[:, None]
+    found["speed"][1:] = np.maximum(found["speed"][1:], means)
+    return found
 
 
 @pytest.fixture(scope="module")
@@ -145,6 +151,23 @@ def test_stop_ends_a_run_at_the_first_tick_beyond(machine: hs.Scenario, kind: st
     assert list(batch.outcome) == ["leg_limit"] * 2
     assert list(batch.limit_leg) == [leg] * 2
     assert batch.detail(1) == result.detail
+
+
+@pytest.mark.parametrize("name", ["reachy-mini", "pi-h824-positions"])
+def test_legs_that_are_fastest_between_two_ticks(name: str) -> None:
+    """Fast drives stand still again where they are looked at: their way over a period shows how fast they were."""
+    free = hs.load_scenario(name).updated({"actuators.position": {"bandwidth": 100.0, "damping": 1.0}})
+    run = hs.simulate(free)
+    means = np.abs(np.diff(run.leg_lengths, axis=0)).max(axis=1) / free.simulation.step
+    fastest = float(means.max())
+    slower = free.updated({"robot.speed_limit": 0.5 * fastest})
+    beyond = hs.simulate(slower)
+    assert hs.metrics(beyond)["peak_leg_speed"] >= fastest * (1.0 - 1e-9)
+    first = min(event.time for event in beyond.events if event.kind == "speed")
+    assert first <= run.time[1 + int((means > 0.5 * fastest * (1.0 + 1e-9)).argmax())]
+    stopped = hs.simulate(slower.updated({"robot.on_limit": "stop"}))
+    assert stopped.outcome != "completed"
+    assert stopped.time[-1] == pytest.approx(first - free.simulation.step)
 
 
 @pytest.mark.parametrize("mode", ["continuous", "sampled"])

@@ -596,7 +596,8 @@ def bad_numbers(name: str, values: Any) -> list[tuple[Any, str]]:
         changed.reshape(-1, changed.shape[-1])[row, -1] = number
         bad.append((changed, rf"{name}\[{row}\]: expected {words}, got "))
     bad.append((values[:, ..., :-1], rf"{name}: expected numbers of shape \("))
-    bad.append((values.astype(complex), rf"{name}: expected numbers of shape \(.*\), got something else \(ndarray\)"))
+    bad.append((values.astype(complex), rf"{name}: expected numbers of shape \(.*\), got an array of complex128"))
+    bad.append((values > 0.0, rf"{name}: expected numbers of shape \(.*\), got an array of bool"))
     bad.append((values.astype(str).tolist(), rf"{name}: expected numbers of shape \(.*\), got something else \(list\)"))
     if name == "depth":
         bad.extend((-values * share, r"depth\[0\]: expected numbers < 0, in front") for share in (1.0, 0.0))

@@ -393,3 +393,16 @@ def test_without_an_image_every_packaged_machine_that_takes_forces_stays_where_i
     turns = Rotation.from_quat(np.roll(run.quaternion, -1, axis=1))
     assert np.abs(run.position - run.position[0]).max() < 1e-3
     assert (turns * turns[0].inv()).magnitude().max() < 5e-3
+
+
+def test_a_timeout_has_room_for_stamps_that_are_early() -> None:
+    """Age counts from the stamp: with less the brake would act in each period before the next frame."""
+    early = {"uncertainty.latency": 0.010, "simulation.duration": 0.5}
+    scenario = hs.load_scenario("composite-30hz").updated(early)
+    with pytest.raises(ValueError, match=r"latency_jitter together, and uncertainty\.latency, 0\.076 s, got 0\.066"):
+        hs.simulate(scenario.updated({"camera.timeout": 0.066}))
+    late = {"uncertainty.latency": -0.010, "camera.timeout": 0.066}
+    for changes in ({"camera.timeout": 0.076}, late):
+        run = hs.simulate(scenario.updated(changes))
+        acts = run.time >= 0.034  # from the first frame on
+        assert np.all(np.any(run.fuzzy_output[acts] != 0.0, axis=1))

@@ -584,7 +584,12 @@ def test_a_feedback_of_more_than_half_its_margin_is_noted() -> None:
     assert margin == hs.feedback_margin(scenario.updated({"actuators.delay": TICK}))  # one tick is taken at least
     for share, noted in ((0.49, False), (0.51, True)):
         sentences = unlikely(scenario.updated({"controller.tracking.feedback": share * margin}))
-        assert any(words.startswith("controller.tracking.feedback: ") for words in sentences) == noted
+        noted_ones = [words for words in sentences if words.startswith("controller.tracking.feedback: ")]
+        assert bool(noted_ones) == noted
+        for words in noted_ones:  # the bound that it names is one that it does not note
+            named = float(words.split(" is more than ")[1].split(",")[0])
+            again = unlikely(scenario.updated({"controller.tracking.feedback": named}))
+            assert not any(words.startswith("controller.tracking.feedback: ") for words in again)
     with pytest.raises(
         ValueError, match="expected position or position_torque for the margin of a feedback, got force"
     ):

@@ -22,6 +22,7 @@ inline double angle_of_chord(double chord) { return 2.0 * std::asin(std::min(0.5
 /// What these limits are compared with, at one instant.
 template <class S>
 struct LegMotion {
+  Vector6<S> lengths;          ///< l_i [m]
   Vector6<S> speeds;           ///< |l-dot_i| [m/s]
   Vector6<S> base_chords;      ///< |c_i - c_i at home| in B [1]
   Vector6<S> platform_chords;  ///< the same in E [1]
@@ -54,6 +55,7 @@ class LegWatch {
     const Legs<S> legs = Legs<S>::of(inverse_kinematics(legs_, p_BE, R_BE));
     const Vector6<S> rates = legs.rates(twist);
     LegMotion<S> motion;
+    motion.lengths = legs.lengths;
     for (int i = 0; i < 6; ++i) {
       Vector3<S> c = legs.directions_B.col(i), home = directions_B_.col(i);
       if (legs_.rotary) {
@@ -89,6 +91,29 @@ class LegWatch {
   Matrix36<S> directions_B_, directions_E_;
   S speed_limit_, base_chord_, platform_chord_;
   bool acts_;
+};
+
+/// The speeds of the legs that a sample shows: at its time, and the mean since the sample before, which no motion has
+/// without a speed as large in between. Legs that take positions are fastest between two ticks.
+template <class S>
+class LegTravel {
+ public:
+  Vector6<S> speeds(double time, const LegMotion<S>& motion) noexcept {
+    using std::abs;
+    Vector6<S> fastest = motion.speeds;
+    if (!is_first_)
+      for (int i = 0; i < 6; ++i)
+        fastest(i) = max(fastest(i), S(abs(S(motion.lengths(i) - lengths_(i))) / S(time - time_)));
+    is_first_ = false;
+    time_ = time;
+    lengths_ = motion.lengths;
+    return fastest;
+  }
+
+ private:
+  bool is_first_ = true;
+  double time_ = 0.0;
+  Vector6<S> lengths_ = Vector6<S>::Zero();
 };
 
 /// Tilts of the legs from their directions at home, as the base (first row) and the platform see them [rad].

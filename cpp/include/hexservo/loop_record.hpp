@@ -110,7 +110,7 @@ class LoopRecord {
     }
     const Mask<S> regular = !singular;  // leg forces of a singular pose have no meaning
     stop(StopCause::not_finite, (!(is_finite(wrench) & is_finite(fuzzy_output) & is_finite(leg_forces))) & regular);
-    if (stops_at_limit_ && limits) stop_at_limit(state.body, lengths);
+    if (stops_at_limit_ && limits) stop_at_limit(time, state.body, lengths);
     stop(StopCause::singular, singular);
     stop(StopCause::solver_failed, unsensed);
     const Mask<S> good = running();
@@ -145,12 +145,12 @@ class LoopRecord {
   bool is_limit_due() const noexcept { return until_limits_ == 0; }
 
   /// Stops lanes with a leg beyond its stroke, its speed limit or its joint limit.
-  void stop_at_limit(const BodyMotion<S>& body, const Vector6<S>& lengths) noexcept {
+  void stop_at_limit(double time, const BodyMotion<S>& body, const Vector6<S>& lengths) noexcept {
     stop_beyond(StopCause::leg_limit, lengths - mid_lengths_, stroke_);
     const LegWatch<S>& watch = metrics_->watch();
     if (!watch.acts()) return;
     const LegMotion<S> motion = watch.at(position_of(body), quaternion_of(body), twist_of(body));
-    stop_beyond(StopCause::leg_speed, motion.speeds, watch.speed_limit());
+    stop_beyond(StopCause::leg_speed, travel_.speeds(time, motion), watch.speed_limit());
     stop_beyond(StopCause::base_joint, motion.base_chords, watch.base_chord());
     stop_beyond(StopCause::platform_joint, motion.platform_chords, watch.platform_chord());
   }
@@ -170,6 +170,7 @@ class LoopRecord {
   }
 
   LegGeometry<S> legs_;
+  LegTravel<S> travel_;
   Vector6<S> mid_lengths_;
   S stroke_;
   Vector<S, 2 * N> desired_features_;

@@ -449,7 +449,7 @@ class MetricsAccumulator {
   template <class Take>
   [[gnu::noinline]] void add_leg_motion(double time, const Sample<S, N>& sample, const Take& take) {
     const LegMotion<S> motion = watch_.at(sample.position, sample.quaternion, sample.twist);
-    speed_.add(time, motion.speeds, watch_.speed_limit(), take);
+    speed_.add(time, travel_.speeds(time, motion), watch_.speed_limit(), take);
     base_joint_.add(time, motion.base_chords, watch_.base_chord(), take);
     platform_joint_.add(time, motion.platform_chords, watch_.platform_chord(), take);
   }
@@ -488,6 +488,7 @@ class MetricsAccumulator {
   S peak_control_force_{0.0}, peak_control_moment_{0.0};
   LegLimitMonitor<S> stroke_, force_;
   LegWatch<S> watch_;
+  LegTravel<S> travel_;
   LegLimitMonitor<S> speed_, base_joint_, platform_joint_;
 };
 

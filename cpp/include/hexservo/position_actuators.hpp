@@ -50,13 +50,15 @@ inline Vector4<double> leg_transition(double bandwidth, double damping, double s
 }
 
 /// In which steps a leg moves in one of the loop: those near its limits resolve the response, so that limits hold
-/// within them too.
+/// within them too. Of a response for which `kMostLegSteps` are too few, which hardly lags at all, a leg near its
+/// limits is off by what it moves, at these limits, in one of them.
 /// @param step of the loop's Runge-Kutta method [s]
 inline LegSteps<double> leg_steps(const PositionResponse<double>& response, double step) {
   const double w = 6.283185307179586 * response.bandwidth, damping = response.damping;
   const double fastest = w * (damping > 1.0 ? damping + std::sqrt(damping * damping - 1.0) : 1.0);  // of its modes
   const bool limited = std::isfinite(response.speed_limit) || std::isfinite(response.acceleration_limit);
-  const double number = limited ? std::max(kLegSteps, std::ceil(step * fastest / kLegDecay)) : kLegSteps;
+  const double number =
+      limited ? std::clamp(std::ceil(step * fastest / kLegDecay), kLegSteps, kMostLegSteps) : kLegSteps;
   return {.number = number,
           .whole = leg_transition(response.bandwidth, damping, step),
           .part = leg_transition(response.bandwidth, damping, step / number)};

@@ -51,7 +51,7 @@ template <class S, class Law, int N>
 MotionGains<S> motion_gains(const LoopParameters<S, Law, N>& p) {
   MotionGains<S> motion;
   motion.acts = p.mode == LoopMode::sampled && takes_positions(p.actuators.kind);
-  if constexpr (requires { Law::viscosity(p.gains); }) {
+  if constexpr (!Law::traits.viscosity.empty()) {
     motion.massless = true;
     motion.viscosity = Law::viscosity(p.gains);
   }

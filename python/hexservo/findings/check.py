@@ -272,8 +272,8 @@ def fastest_rate(scene: Scene) -> float:
 
     The law is that of the servo tick with a fresh image (`linear_law`), the plant the actual one (`linear_plant`); the
     weights of the fuzzy systems are constant. `tanh` and `saturation` have their slope at rest; otherwise
-    K_v = 0, since dry friction has no pole. Where drives take positions, a law whose output is a twist moves at it,
-    and a law whose output is a pose has the double pole of its reference.
+    K_v = 0, since dry friction has no pole. Where drives take positions, a law of a platform without mass moves it
+    at a twist, and a law whose output is a pose has the double pole of its reference.
 
     Raises
     ------
@@ -286,7 +286,7 @@ def fastest_rate(scene: Scene) -> float:
     if controller.traits.output == "pose":
         return 2.0 * math.pi * float(controller.gains.bandwidth)
     calm = on_pinhole(quiet(scene.scenario))  # the linear law is of features
-    if calm.legs_follow_twists:
+    if calm.moves_without_mass:
         weightless = calm.updated({"robot.gravity": [0.0, 0.0, 0.0]})  # the twist carries no weight
         law = linear_law(weightless, scene_of(weightless), scene.home)
         return _largest(lambda: np.asarray(np.linalg.solve(-law.twist, law.frame[:, :6] + law.pose)))

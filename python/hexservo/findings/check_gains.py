@@ -107,9 +107,8 @@ def _of_feedback(scenario: Scenario, law: str) -> Iterator[str]:
         own = value_at(scenario, key)
         most = margin(scenario) if own > 0.0 else math.inf
         if own > OF_MARGIN * most * _ROUNDING and most > 0.0:  # 0: the feedback alone is too much
-            yield (
-                f"{key}: {number(own)} is more than half of {number(most)}, with which legs of this response oscillate"
-            )
+            value, written = apart(own, OF_MARGIN * most * _ROUNDING, 3, keeps=True)
+            yield f"{key}: {value} is more than {written}, half of that with which legs of this response oscillate"
 
 
 def _of_band(scene: Scene, law: str) -> Iterator[str]:
@@ -135,12 +134,12 @@ def _of_noise(scenario: Scenario, law: str) -> Iterator[str]:
     true = feature_noise(scenario.camera)
     assumed, jump = value_at(scenario, f"{law}.noise"), value_at(scenario, f"{law}.jump")
     if scenario.simulation.mode == SAMPLED_MODE and jump * assumed * _ROUNDING < _OF_NOISE * true:
-        frames = 1.0 / (_COORDINATES * math.erfc(jump * assumed / true / math.sqrt(2.0)))
+        frames = round(1.0 / (_COORDINATES * math.erfc(jump * assumed / true / math.sqrt(2.0))))
+        often = f"every {frames} frames or so" if frames > 1 else "at nearly every frame"
         yield (
             f"{law}.noise: {number(assumed)} px is less than the {number(true)} px of camera.noise and "
             f"camera.quantisation, so that these alone are beyond {law}.jump and restart the estimate of the target "
-            f"every {max(frames, 1.0):.0f} frames or so, and the machine does not stay on its goal; set it to "
-            f"{number(true)}"
+            f"{often}, and the machine may not stay on its goal; set it to {number(true)}"
         )
 
 

@@ -177,6 +177,12 @@ _CONDITIONS = (
         "only with camera.image_size or an acting camera.gate",
     ),
     _Condition(("camera.gate",), predicts, "only with camera.prediction: encoder or camera.on_lost: predict"),
+    _Condition(
+        ("actuators.position.bandwidth", "actuators.position.damping"),
+        lambda scenario: scenario.actuators.kind != "position_torque" or scenario.controller.law == POSE_LAW,
+        f"only with actuators.kind: position, or with the law {POSE_LAW}, which leads by them: the motors' response is "
+        "that of actuators.motor",
+    ),
     _with((f"sensors.{key}" for key in ("rate", "resolution", "noise", "period")), "sensors.pose", "encoders"),
     _of_motion("base_motion", "amplitude frequency phase", "sinusoid"),
     _of_motion("base_motion", "level low_frequency high_frequency", "noise"),

@@ -460,7 +460,12 @@ class Blocks(Block):
     @property
     def legs_follow_twists(self) -> bool:
         """Whether legs follow the law's twist by themselves: what would make a wrench of it has no effect."""
-        return self.actuators.takes_positions and self.controller.traits.output == "twist"
+        return self.moves_without_mass and self.controller.traits.output == "twist"
+
+    @property
+    def moves_without_mass(self) -> bool:
+        """Whether drives take the positions of a platform without mass, whose damping is a gain of the law."""
+        return self.actuators.takes_positions and bool(self.controller.traits.viscosity)
 
     @property
     def has_unknown_payload(self) -> bool:

@@ -162,11 +162,12 @@ struct LawTraits {
   std::string_view type;  ///< in C++
   LawParts parts;
   LawOutput output = LawOutput::wrench;
-  std::string_view inverse{};  ///< gain M of (J^T J + M)^-1, which takes an image error to a pose error; empty: none
-  bool points = false;         ///< gains may use the assumed points and their goal: `needs_goal` of the gains
-  bool depth = false;          ///< the measured depths enter
-  bool prior = false;          ///< the joint sensors' pose, weighed against the image by the gain `prior`
-  bool theorem = false;        ///< the paper's theorem, (16) to (21), is of this law
+  std::string_view inverse{};    ///< gain M of (J^T J + M)^-1, which takes an image error to a pose error; empty: none
+  std::string_view viscosity{};  ///< gain K of chi-dot + K^-1 (tau - G), how a platform without mass takes positions
+  bool points = false;           ///< gains may use the assumed points and their goal: `needs_goal` of the gains
+  bool depth = false;            ///< the measured depths enter
+  bool prior = false;            ///< the joint sensors' pose, weighed against the image by the gain `prior`
+  bool theorem = false;          ///< the paper's theorem, (16) to (21), is of this law
 
   /// Fuzzy systems, whose weights change from tick to tick.
   constexpr bool memory() const { return parts.has(LawPart::fuzzy); }

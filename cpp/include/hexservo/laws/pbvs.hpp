@@ -36,8 +36,12 @@ struct PbvsGains {
 /// The law as a policy of the loop. Its state is where the last estimate was, which changes how fast one is found
 /// alone.
 struct Pbvs : LawWithoutFuzzy<PbvsGains, PoseMemory> {
-  static constexpr LawTraits traits = {
-      .name = "pbvs", .type = "Pbvs", .parts = {LawPart::damping, LawPart::pose_spring}, .points = true, .prior = true};
+  static constexpr LawTraits traits = {.name = "pbvs",
+                                       .type = "Pbvs",
+                                       .parts = {LawPart::damping, LawPart::pose_spring},
+                                       .viscosity = "kd",
+                                       .points = true,
+                                       .prior = true};
 
   /// Where the estimate of an evaluation starts: at that of the stage before, or of the step before.
   template <class S>

@@ -68,6 +68,7 @@ struct ResolvedRate : StatelessLaw<ResolvedRateGains> {
                                        .parts = {LawPart::reference, LawPart::damping},
                                        .output = LawOutput::twist,
                                        .inverse = "damping",
+                                       .viscosity = "ki",
                                        .points = true,
                                        .depth = true};
 
