@@ -118,6 +118,8 @@ def _of_obstacle(obstacle: Obstacle) -> str:
             f"The goal cannot be reached: no pose was found whose image is the goal; the best one leaves "
             f"{number(obstacle.residual)} px."
         )
+    if obstacle.kind == "start":
+        return f"The start is out of reach: {obstacle.beyond}; nothing else matters until that is changed."
     return (
         f"The goal cannot be reached: at the nearest pose with that image {obstacle.beyond}; nothing else matters "
         "until that is changed."

@@ -167,10 +167,10 @@ def rank(one: Study, withheld: str = "") -> list[Trial]:
     """Rank the causes of a run that failed, the most likely one first; `withheld` is left out of the list.
 
     A cause is named if its removal cures the run, if it alone makes an otherwise ideal scenario fail, and if small
-    random changes do not cure the run as well. A goal that cannot be reached is always the cause named.
+    random changes do not cure the run as well. A start or goal that cannot be reached is always the cause named.
     """
     obstacle = one.case.obstacle
-    goal_cause = "" if obstacle is None else {"legs": "leg_limits", "image": "impossible_goal"}[obstacle.kind]
+    goal_cause = "" if obstacle is None else "impossible_goal" if obstacle.kind == "image" else "leg_limits"
     chance = float(np.mean(one.controls)) if one.controls else 0.0
     harmless, odd = _ordinary_devices(one.case), _unusual_causes(one.case)
     trials = []
