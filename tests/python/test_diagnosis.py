@@ -31,6 +31,7 @@ from hexservo.findings.diagnosis.causes import CAUSES
 from hexservo.findings.diagnosis.criterion import DRIFT_TIME, Allowed, Record, judge, make_record
 from hexservo.findings.diagnosis.environment import (
     alone_pairs,
+    both_alone,
     ideal,
     known,
     ordinary,
@@ -1202,6 +1203,32 @@ def test_causes_that_fail_only_together_are_named_together() -> None:
     assert verdict.endswith("Without other faults both together fail as well, and neither does alone.")
 
 
+def test_two_causes_that_pass_with_the_gains_of_the_scenario_are_not_named_together() -> None:
+    """A weight error and a fast adaptation fail with default gains, and pass with those that the scenario has."""
+    scenario = hs.load_scenario("composite-30hz").updated(
+        {"camera.latency": 0.279, "simulation.duration": 1.2, "metrics.rms_start": 0.5}
+    )
+    usual, default_gains, own_gains = both_alone(cause_of("gravity"), cause_of("spring"), case_of(scenario))
+    failed = [
+        judged(scenario, record).failed
+        for record in run_all([Run(scenario, changes) for changes in (usual, default_gains, own_gains)])
+        if record is not None
+    ]
+    assert failed == [False, True, False]
+    diagnosis = hs.diagnose(hs.simulate(scenario))
+    assert diagnosis.failed
+    assert diagnosis.together == ()
+
+
+def test_a_fault_beside_limits_of_the_legs_is_named_with_them() -> None:
+    """The wrong sign diverges, and without it the legs are faster than their limit by 5 %."""
+    scenario = hs.load_scenario("task-rotation").updated({"robot.speed_limit": 0.0345})
+    assert judged(scenario, record_of(hs.simulate(scenario))).failed
+    diagnosis = hs.diagnose(hs.simulate(scenario.updated({"controller.jacobian": "printed"})))
+    assert not diagnosis.named
+    assert set(diagnosis.together) == {"wrong_sign", "leg_limits"}
+
+
 def test_a_run_that_is_too_short_is_diagnosed() -> None:
     """The paper's run is within 2 px after 0.353 s."""
     scenario = hs.load_scenario("paper").updated({"simulation.duration": 0.2})
@@ -1252,6 +1279,31 @@ def test_a_settling_band_narrower_than_an_ordinary_loop_reaches_is_diagnosed() -
         {"metrics.band": 0.5, "camera.noise": 2.0, "simulation.duration": 3.0}
     )
     assert hs.diagnose(hs.simulate(noisy)).causes[0].cause == "pixel_noise"
+
+
+def test_a_band_that_a_late_camera_misses_is_not_the_camera_alone() -> None:
+    """Noise of 0.5 px through frames each 20 ms leaves 0.2 px: too much for a band of 0.1 px, and not for one of 2 px.
+
+    A frame at every tick leaves 0.08 px.
+    """
+    scenario = hs.load_scenario("noisy-camera").updated({"metrics.band": 0.1, "simulation.duration": 2.0})
+    assert ideal(scenario)["metrics.band"] == 2.0
+    (pair, _) = alone_pairs(cause_of("band"), case_of(scenario), Removal("", {"metrics.band": 2.0}))
+    assert "metrics.band" not in pair.alone
+    diagnosis = hs.diagnose(hs.simulate(scenario))
+    assert not diagnosis.named
+    assert set(diagnosis.together) == {"late_camera", "band"}
+    assert all(one.alone is False for one in diagnosis.causes if one.cause in diagnosis.together)
+
+
+def test_a_task_is_tested_with_the_gains_of_a_scenario_whose_default_gains_fail() -> None:
+    """With default gains the head of Reachy Mini does not get to its goal within 4 s, whatever the band is."""
+    scenario = hs.load_scenario("reachy-mini").updated({"metrics.band": 0.02})
+    without = {**ideal(scenario), **ordinary(scenario)}
+    assert without["metrics.band"] == 2.0
+    assert judged(scenario, record_of(hs.simulate(scenario.updated(without))), Removal("", without)).failed
+    diagnosis = hs.diagnose(hs.simulate(scenario))
+    assert [finding.cause for finding in diagnosis.named] == ["band"]
 
 
 def test_a_brake_that_diverges_is_diagnosed() -> None:

@@ -295,6 +295,13 @@ TASKS: tuple[Cause, ...] = (
     ),
     Cause("band", "a settling band that is too narrow", frozenset({"metrics.band"}), _band, kind="task"),
     Cause(
+        "false_equilibrium",
+        "a false equilibrium of the law",
+        frozenset({"controller.law"}),
+        _false_equilibrium,
+        kind="task",
+    ),
+    Cause(
         "duration",
         "a run that is too short for its dwell time",
         frozenset({"simulation.duration", "metrics.dwell"}),
@@ -307,13 +314,6 @@ TASKS: tuple[Cause, ...] = (
         OPTICS | {"target.initial_features", "target.points", "target.depth"},
         _poor_image,
         alone=_poor_image_alone,
-        kind="task",
-    ),
-    Cause(
-        "false_equilibrium",
-        "a false equilibrium of the law",
-        frozenset({"controller.law"}),
-        _false_equilibrium,
         kind="task",
     ),
     Cause(
