@@ -31,6 +31,7 @@ from hexservo.findings.diagnosis.causes import CAUSES
 from hexservo.findings.diagnosis.criterion import DRIFT_TIME, Allowed, Record, judge, make_record
 from hexservo.findings.diagnosis.environment import (
     alone_pairs,
+    both_alone,
     ideal,
     known,
     ordinary,
@@ -44,7 +45,7 @@ from hexservo.findings.diagnosis.goal import goal_of, pixels_per_metre, seen_fro
 from hexservo.findings.diagnosis.model import Case, Removal
 from hexservo.findings.diagnosis.ranking import Study, controls, judged, make_cases, pairs, rank, study
 from hexservo.findings.diagnosis.runs import Run, record_of, run_all
-from hexservo.findings.diagnosis.words import ends
+from hexservo.findings.diagnosis.words import ends, misses, warnings_of
 from hexservo.findings.evidence import Curves, Table
 from hexservo.scenario.fitted import machine_of, target_filter
 from hexservo.scenario.keys import value_at
@@ -52,6 +53,7 @@ from hexservo.scenario.laws import ALL_LAWS, LAWS
 from hexservo.scenario.parameters import core_parameters, frame_period
 from hexservo.scenario.pixels import desired_features, points_outside
 from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.wording import number
 from keys_without_cause import HARMLESS, IN_COMMON
 from packaged import one_of_each_kind
 from rescaled import rescaled
@@ -1054,6 +1056,62 @@ def test_the_signature_of_a_spring_is_finite_where_friction_by_the_radius_overfl
     assert "inf" not in signature.sentence
 
 
+@pytest.mark.parametrize(
+    ("changes", "strength", "sentence"),
+    [
+        # 0.06 kg: 0.9 of (0.18, 0.12) N; across the weight for the most part
+        (
+            {"robot.gravity": [3.0, 2.0, 9.0], "uncertainty.gravity": [0.9, 0.9, 0.0, 0.0, 0.0, 0.0]},
+            None,
+            "The weight fed forward differs from the one that acts by 195 mN.",
+        ),
+        # half of 0.588 N at (20, 30) mm
+        (
+            {"uncertainty.gravity": [0.0, 0.0, 0.0, 0.5, 0.5, 0.0], "robot.centre_of_mass": [0.03, 0.02, 0.0]},
+            0.2,
+            "The weight fed forward differs from the one that acts by 10.6 mN m.",
+        ),
+        # a payload of 4 g at 20 mm
+        (
+            {"robot.payload": {"mass": 0.004, "position": [0.02, 0.0, 0.0], "known": False}},
+            None,
+            "The weight fed forward differs from the one that acts by 39.2 mN and 784 uN m; it is too small, and the "
+            "platform sinks by up to ",
+        ),
+        (
+            {"uncertainty.gravity": 0.05},
+            1.0,
+            "The weight fed forward differs from the one that acts by 29.4 mN; it is too large, and the platform rises "
+            "by up to ",
+        ),
+    ],
+)
+def test_the_signature_of_a_wrong_weight_has_all_of_its_error(
+    changes: dict[str, Any], strength: float | None, sentence: str
+) -> None:
+    exact = {f"uncertainty.{name}": 0.0 for name in ("inertia", "coriolis", "gravity", "depth")}
+    start = {"simulation.duration": 0.5, "target.desired_features": None, "target.desired_pose": [0.0] * 6}
+    scenario = hs.load_scenario("paper").updated({**exact, **start, **changes})
+    record = record_of(hs.simulate(scenario))
+    signature = SIGNATURES["gravity"](Case(scenario, None), record, judged(scenario, record))
+    assert signature.sentence.startswith(sentence)
+    assert strength is None or signature.strength == pytest.approx(strength)
+
+
+def test_the_signature_of_limits_of_the_legs_has_the_limit_that_is_exceeded() -> None:
+    """34 mm/s where 10 mm/s are allowed, in a travel of 12 mm where 17 mm are."""
+    scenario = hs.load_scenario("paper").updated({"robot.speed_limit": 0.01, "simulation.duration": 0.5})
+    case, record = case_of(scenario), record_of(hs.simulate(scenario))
+    signature = SIGNATURES["leg_limits"](case, record, judged(scenario, record))
+    speed = number(1e3 * record.metrics["peak_leg_speed"])
+    assert signature.sentence == f"The run moves a leg at {speed} mm/s, beyond its speed limit of 10 mm/s."
+    (removal,) = cause_of("leg_limits").removals(case)
+    assert removal.words == "legs of any length and speed"
+    tilted = case_of(scenario.updated({"robot.speed_limit": None, "robot.joint_limit": [0.5, 0.5]}))
+    (removal,) = cause_of("leg_limits").removals(tilted)
+    assert removal.words == "legs of any length whose joints tilt by any angle"
+
+
 # ---- What a user gets -----------------------------------------------------------------------------------------------
 
 
@@ -1145,6 +1203,32 @@ def test_causes_that_fail_only_together_are_named_together() -> None:
     assert verdict.endswith("Without other faults both together fail as well, and neither does alone.")
 
 
+def test_two_causes_that_pass_with_the_gains_of_the_scenario_are_not_named_together() -> None:
+    """A weight error and a fast adaptation fail with default gains, and pass with those that the scenario has."""
+    scenario = hs.load_scenario("composite-30hz").updated(
+        {"camera.latency": 0.279, "simulation.duration": 1.2, "metrics.rms_start": 0.5}
+    )
+    usual, default_gains, own_gains = both_alone(cause_of("gravity"), cause_of("spring"), case_of(scenario))
+    failed = [
+        judged(scenario, record).failed
+        for record in run_all([Run(scenario, changes) for changes in (usual, default_gains, own_gains)])
+        if record is not None
+    ]
+    assert failed == [False, True, False]
+    diagnosis = hs.diagnose(hs.simulate(scenario))
+    assert diagnosis.failed
+    assert diagnosis.together == ()
+
+
+def test_a_fault_beside_limits_of_the_legs_is_named_with_them() -> None:
+    """The wrong sign diverges, and without it the legs are faster than their limit by 5 %."""
+    scenario = hs.load_scenario("task-rotation").updated({"robot.speed_limit": 0.0345})
+    assert judged(scenario, record_of(hs.simulate(scenario))).failed
+    diagnosis = hs.diagnose(hs.simulate(scenario.updated({"controller.jacobian": "printed"})))
+    assert not diagnosis.named
+    assert set(diagnosis.together) == {"wrong_sign", "leg_limits"}
+
+
 def test_a_run_that_is_too_short_is_diagnosed() -> None:
     """The paper's run is within 2 px after 0.353 s."""
     scenario = hs.load_scenario("paper").updated({"simulation.duration": 0.2})
@@ -1169,6 +1253,20 @@ def test_a_dwell_time_that_no_run_lasts_is_diagnosed() -> None:
     assert "with a dwell time of 0.2 s the run passes" in diagnosis.section().sentences[0]
 
 
+def test_a_run_shorter_than_its_dwell_time_has_no_last_seconds_of_that_length() -> None:
+    scenario = hs.load_scenario("saturation").updated({"simulation.duration": 0.001, "metrics.rms_start": 0.0})
+    scenario = scenario.updated({"simulation.log_every": 2})
+    result = hs.simulate(scenario)
+    record = record_of(result)
+    judgement = judged(scenario, record)
+    assert (
+        misses(result, record, judgement)[0]
+        == "not settled: the run of 0.001 s is shorter than the dwell time of 0.2 s"
+    )
+    thin = dataclasses.replace(result, time=result.time[:1])
+    assert "The run logged 1 sample: too few" in warnings_of(thin, judgement)[0]
+
+
 def test_a_settling_band_narrower_than_an_ordinary_loop_reaches_is_diagnosed() -> None:
     """The paper's loop rests 0.08 px from its goal; noise of 1 px before a band of 1 px is the camera's fault."""
     scenario = hs.load_scenario("paper").updated({"metrics.band": 0.05, "simulation.duration": 2.0})
@@ -1181,6 +1279,31 @@ def test_a_settling_band_narrower_than_an_ordinary_loop_reaches_is_diagnosed() -
         {"metrics.band": 0.5, "camera.noise": 2.0, "simulation.duration": 3.0}
     )
     assert hs.diagnose(hs.simulate(noisy)).causes[0].cause == "pixel_noise"
+
+
+def test_a_band_that_a_late_camera_misses_is_not_the_camera_alone() -> None:
+    """Noise of 0.5 px through frames each 20 ms leaves 0.2 px: too much for a band of 0.1 px, and not for one of 2 px.
+
+    A frame at every tick leaves 0.08 px.
+    """
+    scenario = hs.load_scenario("noisy-camera").updated({"metrics.band": 0.1, "simulation.duration": 2.0})
+    assert ideal(scenario)["metrics.band"] == 2.0
+    (pair, _) = alone_pairs(cause_of("band"), case_of(scenario), Removal("", {"metrics.band": 2.0}))
+    assert "metrics.band" not in pair.alone
+    diagnosis = hs.diagnose(hs.simulate(scenario))
+    assert not diagnosis.named
+    assert set(diagnosis.together) == {"late_camera", "band"}
+    assert all(one.alone is False for one in diagnosis.causes if one.cause in diagnosis.together)
+
+
+def test_a_task_is_tested_with_the_gains_of_a_scenario_whose_default_gains_fail() -> None:
+    """With default gains the head of Reachy Mini does not get to its goal within 4 s, whatever the band is."""
+    scenario = hs.load_scenario("reachy-mini").updated({"metrics.band": 0.02})
+    without = {**ideal(scenario), **ordinary(scenario)}
+    assert without["metrics.band"] == 2.0
+    assert judged(scenario, record_of(hs.simulate(scenario.updated(without))), Removal("", without)).failed
+    diagnosis = hs.diagnose(hs.simulate(scenario))
+    assert [finding.cause for finding in diagnosis.named] == ["band"]
 
 
 def test_a_brake_that_diverges_is_diagnosed() -> None:
@@ -1209,6 +1332,22 @@ def test_a_goal_out_of_reach_comes_before_everything_else() -> None:
     assert diagnosis.obstacle.leg_travel == pytest.approx(farthest)
     assert [finding.cause for finding in diagnosis.named] == ["leg_limits"]
     assert "nothing else matters" in diagnosis.section().sentences[0]
+
+
+def test_a_start_out_of_reach_comes_before_everything_else() -> None:
+    """A rotation of 0.9 rad about the optical axis takes a leg 50 mm beyond its stroke."""
+    scenario = hs.load_scenario("paper").updated(
+        {"simulation.start.pose": [0.0, 0.0, 0.0, 0.0, 0.0, 0.9], "simulation.duration": 0.5}
+    )
+    start = reach_of_start_and_goal(scenario).start
+    assert not start.within
+    diagnosis = hs.diagnose(hs.simulate(scenario))
+    assert diagnosis.obstacle is not None
+    assert diagnosis.obstacle.kind == "start"
+    assert diagnosis.obstacle.leg_travel == abs(start.travel)
+    assert [finding.cause for finding in diagnosis.named] == ["leg_limits"]
+    assert diagnosis.together == ()
+    assert diagnosis.section().sentences[0].startswith(f"The start is out of reach: {start.beyond}")
 
 
 def test_a_goal_image_of_no_pose_is_diagnosed() -> None:

@@ -108,9 +108,11 @@ def ideal(scenario: Scenario) -> dict[str, Any]:
         changes["target.motion.kind"] = "none"
     if scenario.has_unknown_payload:
         changes["robot.payload.known"] = True
-    usual = type(scenario.metrics)().dwell
-    if scenario.metrics.dwell > usual:
-        changes["metrics.dwell"] = usual
+    usual = type(scenario.metrics)()
+    if scenario.metrics.dwell > usual.dwell:
+        changes["metrics.dwell"] = usual.dwell
+    if scenario.metrics.band < usual.band:
+        changes["metrics.band"] = usual.band
     changes |= default_brake(scenario)
     if scenario.controller.jacobian == "printed" and scenario.camera.convention == "eye_in_hand":
         changes["controller.jacobian"] = "consistent"
@@ -161,8 +163,6 @@ def unusual(scenario: Scenario) -> frozenset[str]:
             if (high <= _NEAR * low).all():
                 continue
         found.add(key)
-    if scenario.metrics.band < type(scenario.metrics)().band:
-        found.add("metrics.band")
     return frozenset(found)
 
 
@@ -177,8 +177,12 @@ def alone_pairs(cause: Cause, case: Case, removal: Removal) -> list[Alone]:
     scenario = case.scenario
     without = ideal(scenario)
     if cause.kind == "task":
-        without = _less({**without, **ordinary(scenario)}, cause.keys)
-        return [Alone({**without, **removal.changes}, without, removal.stroke_counts)]
+        usual, own = (_less(changes, cause.keys) for changes in ({**without, **ordinary(scenario)}, without))
+        return [
+            Alone({**usual, **removal.changes}, usual, removal.stroke_counts),
+            # default gains that fail without the cause too prove nothing about it, as it is no setting of the law
+            Alone({**own, **removal.changes}, own, removal.stroke_counts, otherwise=True),
+        ]
     if cause.kind == "law":
         without |= ordinary(scenario)
     without = _less(without, in_scenario(cause.context, scenario))
@@ -204,14 +208,19 @@ def alone_at_its_gains(case: Case, name: str, power: float) -> list[Alone]:
     return [Alone(without, {**without, key: (value * ratio**power).tolist()})]
 
 
-def both_alone(first: Cause, second: Cause, case: Case) -> Alone:
-    """Return the scenario without faults, and the one that has two causes and no others."""
+def both_alone(first: Cause, second: Cause, case: Case) -> list[Changes]:
+    """Return the changes to a scenario without faults, and then those to scenarios with two causes and no other fault.
+
+    The first has ordinary settings of the law if a cause is one of them, and so has the second. A third has the other
+    settings of the law as they are: what fails with ordinary ones alone does not fail in the scenario.
+    """
     scenario = case.scenario
-    without = ideal(scenario)
-    if "law" in (first.kind, second.kind):
-        without |= ordinary(scenario)
+    devices = ideal(scenario)
     own = in_scenario(first.keys | first.context | second.keys | second.context, scenario)
-    return Alone(without, _less(without, own))
+    if "law" not in (first.kind, second.kind):
+        return [devices, _less(devices, own)]
+    usual = {**devices, **ordinary(scenario)}
+    return [usual, _less(usual, own), _less(devices, own)]
 
 
 def _less(changes: Changes, keys: Iterable[str]) -> dict[str, Any]:

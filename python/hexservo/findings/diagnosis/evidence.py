@@ -14,16 +14,19 @@ from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.diagnosis.criterion import Judgement, Record
 from hexservo.findings.diagnosis.goal import pixels_per_metre, seen_from_home
 from hexservo.findings.diagnosis.model import Case
+from hexservo.run.leg_limits import LimitUse, limits_of_motion
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.leg_units import leg_units, stroke_length
 from hexservo.scenario.parameters import core_parameters, frame_period
 from hexservo.scenario.pixels import desired_features, points_outside
-from hexservo.scenario.wording import number
+from hexservo.scenario.wording import number, quantity
 
 _TAIL = 0.25  # the last part of a run, in which it rests or does not
 _AT_REST = 0.02  # of the stroke, that the legs may move in it
 _AT_LIMIT = 0.999  # of the force limit
 _LARGEST = sys.float_info.max / 8.0  # six of them have a finite length, and twice that
+_NO_ERROR = 1e-12  # of the weight (N for 1 N, N m for 1 N): rounding
+_ALONG = 0.5  # of an error of the weight, from which part along it on it is too large or too small
 _WANDER = 0.1  # of the stroke, by which one standard deviation of noise moves the pose that follows from the image
 
 
@@ -78,24 +81,33 @@ def _lost_features(case: Case, record: Record, judgement: Judgement) -> Signatur
 
 
 def _gravity(case: Case, record: Record, judgement: Judgement) -> Signature:
-    weight = np.array(core_parameters(case.scenario).body.gravity_wrench[:3])  # what holds it points up
-    if not weight.any():
+    model, attitude = core_parameters(case.scenario), scene_of(case.scenario).start.quaternion
+    fed = np.array(model.body.weight(attitude))  # what holds the platform points up
+    acting = (1.0 - np.broadcast_to(case.scenario.uncertainty.gravity, 6)) * model.plant_body.weight(attitude)
+    largest = float(np.abs(fed[:3]).max())
+    if largest == 0.0:
         return Signature(0.0, "There is no gravity.")
-    main = int(np.abs(weight).argmax())
+    up = fed[:3] / largest  # first, so that the square of no weight overflows
+    up /= np.linalg.norm(up)
     moved = record.samples["position"] - record.samples["position"][0]
-    up = weight / np.abs(weight[main])  # first, so that the square of no weight overflows
-    height = moved @ (up / np.linalg.norm(up))
+    height = moved @ up
     rise = height[np.argmax(np.abs(height))]
     share = float(abs(rise)) / max(float(np.linalg.norm(moved, axis=1).max()), 1e-12)
-    actual = np.array(core_parameters(case.scenario).plant_body.gravity_wrench[:3])
-    left = (1.0 - np.broadcast_to(case.scenario.uncertainty.gravity, 6)[:3]) * actual
-    error = float(1.0 - left[main] / weight[main])
-    excess = abs(error * weight[main])
-    sentence = (
-        f"The platform {'rises' if rise > 0.0 else 'sinks'} by up to {number(abs(rise) * 1e3)} mm; "
-        f"the weight fed forward is {number(excess)} N too {'large' if error > 0.0 else 'small'}."
-    )
-    return Signature(min(1.0, 1.5 * share) if rise * error > 0.0 else 0.2, sentence)
+    error = fed / largest - acting / largest
+    force, moment = math.hypot(*error[:3]), math.hypot(*error[3:])
+    along = float(error[:3] @ up)
+    sizes = [quantity(size * largest, unit) for size, unit in ((force, "N"), (moment, "N m")) if size > _NO_ERROR]
+    if not sizes:
+        return Signature(0.2, "")
+    sentence = f"The weight fed forward differs from the one that acts by {' and '.join(sizes)}"
+    if rise * along <= 0.0:
+        return Signature(0.2, f"{sentence}.")
+    if abs(along) > _ALONG * force:
+        sentence += (
+            f"; it is too {'large' if along > 0.0 else 'small'}, and the platform "
+            f"{'rises' if rise > 0.0 else 'sinks'} by up to {number(abs(rise) * 1e3)} mm"
+        )
+    return Signature(min(1.0, 1.5 * share), f"{sentence}.")
 
 
 def _unequal_depth(case: Case, record: Record, judgement: Judgement) -> Signature:
@@ -172,16 +184,25 @@ def _poor_image(case: Case, record: Record, judgement: Judgement) -> Signature:
 
 
 def _leg_limits(case: Case, record: Record, judgement: Judgement) -> Signature:
-    stroke, units = case.scenario.robot.stroke, leg_units(case.scenario.robot)
+    if case.obstacle is not None and case.obstacle.kind == "start":
+        return Signature(1.0, f"At the start {case.obstacle.beyond}.")
+    uses = [LimitUse(limit, record.metrics[limit.metric]) for limit in limits_of_motion(case.scenario)]
+    exceeded = [use for use in uses if use.share > 1.0]
+    if record.outcome == "leg_limit":  # its last good sample is within
+        exceeded = [max(uses, key=lambda use: use.share)]
+    sentences = [f"The run {use.excess}." for use in exceeded]
     if case.goal is None:
-        return Signature(None, "")
-    sentence = (
-        f"At the goal a leg is {number(case.goal.leg_travel * 1e3)} {units.small} from the middle of its travel; its "
-        f"stroke is {number(stroke * 1e3)} {units.small}."
-    )
-    if case.goal.leg_travel <= stroke and not case.goal.within:
-        sentence += " A joint is beyond its limit there."
-    return Signature(0.0 if case.goal.within else 1.0, sentence)
+        return Signature(None, " ".join(sentences))
+    of_travel = not exceeded or any(use.limit.kind == "stroke" for use in exceeded)
+    if of_travel or not case.goal.within:
+        stroke, units = case.scenario.robot.stroke, leg_units(case.scenario.robot)
+        sentences.append(
+            f"At the goal a leg is {number(case.goal.leg_travel * 1e3)} {units.small} from the middle of its travel; "
+            f"its stroke is {number(stroke * 1e3)} {units.small}."
+        )
+        if case.goal.leg_travel <= stroke and not case.goal.within:
+            sentences.append("A joint is beyond its limit there.")
+    return Signature(0.0 if case.goal.within else 1.0, " ".join(sentences))
 
 
 SIGNATURES: dict[str, Callable[[Case, Record, Judgement], Signature]] = {

@@ -24,8 +24,8 @@ _NOT_NAMED = {  # fails alone -> why a removal that helps is not named as the ca
     "fail.",
     True: "alone it makes a scenario without other faults fail too, but it is not named: its settings are ordinary, "
     "small random changes cure the run as well, or the run has not come to rest.",
-    None: "that helps, but it could not be tested alone: without any fault, and for a setting of the law with default "
-    "gains, the machine fails as well.",
+    None: "that helps, but it could not be tested alone: the scenario without any fault, for a setting of the law "
+    "with default gains, fails as well.",
 }
 
 
@@ -118,6 +118,8 @@ def _of_obstacle(obstacle: Obstacle) -> str:
             f"The goal cannot be reached: no pose was found whose image is the goal; the best one leaves "
             f"{number(obstacle.residual)} px."
         )
+    if obstacle.kind == "start":
+        return f"The start is out of reach: {obstacle.beyond}; nothing else matters until that is changed."
     return (
         f"The goal cannot be reached: at the nearest pose with that image {obstacle.beyond}; nothing else matters "
         "until that is changed."

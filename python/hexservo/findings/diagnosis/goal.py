@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -31,27 +32,32 @@ class Goal:
 
 @dataclass(frozen=True, eq=False)
 class Obstacle:
-    """Why no law can reach the goal of a scenario."""
+    """Why no law can reach the goal of a scenario, or start on its way."""
 
-    kind: Literal["legs", "image"]  # legs do not reach a pose that shows it; no pose shows it
-    beyond: str  # what the legs would have to do at the nearest pose with that image, as a clause; empty: they reach it
+    kind: Literal["start", "legs", "image"]  # legs do not reach the start, or a pose that shows the goal; no pose does
+    # what the legs would have to do at the start, or at the nearest pose with that image, as a clause; empty: they do
+    beyond: str
     leg_travel: float  # of the leg that would have to go farthest [m]
-    residual: float  # largest error of a feature at the best pose [px]
-    nearest_image: Array  # (2p,) [px], what the best pose shows
+    residual: float = math.nan  # largest error of a feature at the best pose [px]
+    nearest_image: Array = field(default_factory=lambda: np.empty(0))  # (2p,) [px], what the best pose shows
 
 
 def obstacle_of(scenario: Scenario, goal: Goal | None) -> Obstacle | None:
-    """Check by the goal image, stroke and joint limits whether the goal can be reached at all (`_analysis`).
+    """Check by the goal image, stroke and joint limits whether start and goal can be reached at all (`_analysis`).
 
-    None where it can, and for a camera as printed, whose goal has no pose.
+    None where they can; of a camera as printed, whose goal has no pose, the start alone is checked.
     """
+    scene = scene_of(scenario)
+    start = nearest_limit(scene, scene.start)
+    if not start.within:
+        return Obstacle("start", start.beyond, abs(start.travel))
     if scenario.camera.convention != "eye_in_hand" or (goal is not None and goal.within):
         return None
     found = reach_of_start_and_goal(scenario)
     if found.goal is None or found.nearest is None:
         return None
     travel = min(abs(found.goal.travel), abs(found.nearest.travel))
-    goals = find_goals(scene_of(scenario))
+    goals = find_goals(scene)
     assert goals is not None  # as `found.goal` is not
     image = goals.best.view.features
     if found.goal_within and found.residual <= scenario.metrics.band:

@@ -198,9 +198,11 @@ def _leg_limits(case: Case) -> list[Removal]:
     robot = case.scenario.robot
     most = math.inf if robot.legs == "prismatic" else math.pi - abs(robot.stroke_centre)  # as far as a crank goes
     changes: dict[str, Any] = {"robot.stroke": min(1e3 * robot.stroke, most)}
-    if case.scenario.robot.on_limit != "report":
+    if robot.on_limit != "report":
         changes["robot.on_limit"] = "report"
-    return [Removal("legs of any length", changes, stroke_counts=False)]
+    words = "legs of any length" + (" and speed" if robot.speed_limit is not None else "")
+    words += " whose joints tilt by any angle" if robot.joint_limit is not None else ""
+    return [Removal(words, changes, stroke_counts=False)]
 
 
 def _impossible_goal(case: Case) -> list[Removal]:
@@ -293,6 +295,13 @@ TASKS: tuple[Cause, ...] = (
     ),
     Cause("band", "a settling band that is too narrow", frozenset({"metrics.band"}), _band, kind="task"),
     Cause(
+        "false_equilibrium",
+        "a false equilibrium of the law",
+        frozenset({"controller.law"}),
+        _false_equilibrium,
+        kind="task",
+    ),
+    Cause(
         "duration",
         "a run that is too short for its dwell time",
         frozenset({"simulation.duration", "metrics.dwell"}),
@@ -305,13 +314,6 @@ TASKS: tuple[Cause, ...] = (
         OPTICS | {"target.initial_features", "target.points", "target.depth"},
         _poor_image,
         alone=_poor_image_alone,
-        kind="task",
-    ),
-    Cause(
-        "false_equilibrium",
-        "a false equilibrium of the law",
-        frozenset({"controller.law"}),
-        _false_equilibrium,
         kind="task",
     ),
     Cause(

@@ -48,6 +48,7 @@ class Alone:
     alone: Changes
     stroke_counts: bool = True  # of the first one
     first_decides: bool = False  # whether a first one that fails speaks against the cause; else it proves nothing
+    otherwise: bool = False  # whether it counts only where no pair before it proves anything
 
 
 Removals: TypeAlias = Callable[[Case], list[Removal]]

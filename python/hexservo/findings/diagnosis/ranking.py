@@ -35,6 +35,7 @@ _CHANCE = 0.5  # share by which the score falls if every control passes
 _SIZE = 0.05  # of the random change of a control, relative
 _SEEDS = 2  # other seeds that are tried, and random changes
 _PAIRED = 5  # causes that are removed two at a time
+_PAIRED_TASKS = frozenset({"band", "duration", "leg_limits"})  # what a task may require too much of, beside a fault
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,8 +123,8 @@ def study(cases: Sequence[Case], before: Sequence[Judgement], threads: int = 1) 
     return _each_alone(studies, threads)
 
 
-def _each_alone(studies: Sequence[Study], threads: int) -> list[Study]:
-    """Check for each cause whose removal cures whether it alone makes a run fail.
+def _each_alone(studies: Sequence[Study], threads: int, *, cures: bool = True) -> list[Study]:
+    """Check for each cause whose removal cures, or does not, whether it alone makes a run fail.
 
     A pair whose first scenario fails, or one of which is refused, proves nothing about the cause, unless the pair is
     there to show that it fails without it (`Alone.first_decides`). A cause no worse than ordinary is no fault.
@@ -133,12 +134,12 @@ def _each_alone(studies: Sequence[Study], threads: int) -> list[Study]:
     for number, one in enumerate(studies):
         scenario = one.case.scenario
         for key, trial in one.best.items():
-            if trial.judgement.failed:
+            if trial.judgement.failed is cures:
                 continue
             for pair in alone_pairs(trial.cause, one.case, trial.removal):
                 without = Removal("", pair.without, pair.stroke_counts)
                 alone = Removal("", pair.alone)
-                places.append((number, key, without, alone, pair.first_decides))
+                places.append((number, key, without, alone, pair))
                 for removal in (without, alone):
                     runs[number, known(removal.changes), removal.stroke_counts] = Run(scenario, removal.changes)
     records = dict(zip(runs, run_all(list(runs.values()), threads), strict=True))
@@ -148,10 +149,12 @@ def _each_alone(studies: Sequence[Study], threads: int) -> list[Study]:
         return None if record is None else judged(studies[number].case.scenario, record, removal).failed
 
     verdicts: dict[tuple[int, str], bool] = {}
-    for number, key, without, alone, first_decides in places:
+    for number, key, without, alone, pair in places:
+        if pair.otherwise and (number, key) in verdicts:
+            continue
         same = without.stroke_counts and known(without.changes) == known(alone.changes)
         passes = fails(number, without) is False
-        outcome = fails(number, alone) if passes else False if same or first_decides else None
+        outcome = fails(number, alone) if passes else False if same or pair.first_decides else None
         if outcome is not None:
             verdicts[number, key] = verdicts.get((number, key), True) and outcome
     return [
@@ -167,10 +170,10 @@ def rank(one: Study, withheld: str = "") -> list[Trial]:
     """Rank the causes of a run that failed, the most likely one first; `withheld` is left out of the list.
 
     A cause is named if its removal cures the run, if it alone makes an otherwise ideal scenario fail, and if small
-    random changes do not cure the run as well. A goal that cannot be reached is always the cause named.
+    random changes do not cure the run as well. A start or goal that cannot be reached is always the cause named.
     """
     obstacle = one.case.obstacle
-    goal_cause = "" if obstacle is None else {"legs": "leg_limits", "image": "impossible_goal"}[obstacle.kind]
+    goal_cause = "" if obstacle is None else "impossible_goal" if obstacle.kind == "image" else "leg_limits"
     chance = float(np.mean(one.controls)) if one.controls else 0.0
     harmless, odd = _ordinary_devices(one.case), _unusual_causes(one.case)
     trials = []
@@ -194,17 +197,24 @@ def pairs(one: Study, trials: Sequence[Trial], threads: int = 1) -> tuple[str, .
     """Search for two causes that make the run fail together, where no single cause is named; () for none.
 
     The run passes without both, or without either of them, and both together, without other faults, make a scenario
-    fail. The most likely pair is returned.
+    fail, with ordinary settings of the law and with its own. Where it passes only without both, a band, a duration or
+    limits of the legs have to make a scenario without other faults fail by themselves: without them much else would
+    pass. The most likely pair is returned.
     """
     if one.case.obstacle is not None or any(trial.named for trial in trials):
         return ()
     scenario, odd = one.case.scenario, _unusual_causes(one.case)
-    offered = sorted(
+    faults = sorted(
         (trial for trial in trials if trial.cause.kind != "task" and trial.cause.key in odd),
         key=lambda trial: -trial.cure,
     )
-    likely = [trial for trial in offered if trial.judgement.failed][:_PAIRED]
-    curing = [trial for trial in offered if not trial.judgement.failed][:_PAIRED]
+    tasks = {trial.cause.key: trial for trial in trials if trial.cause.key in _PAIRED_TASKS}
+    unmet = {key: trial for key, trial in tasks.items() if trial.judgement.failed}
+    alone = _each_alone([replace(one, best=unmet)], threads, cures=False)[0].best.values()
+    likely = [trial for trial in faults if trial.judgement.failed][:_PAIRED]
+    likely += [trial for trial in alone if trial.alone]
+    curing = [trial for trial in faults if not trial.judgement.failed][:_PAIRED]
+    curing += [trial for key, trial in tasks.items() if key in odd and key not in unmet]
     joint = [
         (first, second)
         for group in (likely, curing)
@@ -212,19 +222,26 @@ def pairs(one: Study, trials: Sequence[Trial], threads: int = 1) -> tuple[str, .
         for second in group[number + 1 :]
         if not first.removal.changes.keys() & second.removal.changes.keys()
     ]
-    runs = []
+    runs: list[Removal] = []
+    counts = []
     for first, second in joint:
-        without = both_alone(first.cause, second.cause, one.case)
-        runs += [{**first.removal.changes, **second.removal.changes}, without.without, without.alone]
-    records = run_all([Run(scenario, changes) for changes in runs], threads)
+        both = {**first.removal.changes, **second.removal.changes}
+        counted = first.removal.stroke_counts and second.removal.stroke_counts
+        without, *alone_together = both_alone(first.cause, second.cause, one.case)
+        for trial in (first, second):
+            without = {**without, **(trial.removal.changes if trial.cause.kind == "task" else {})}
+        runs += [Removal("", both, counted), Removal("", without, counted)]
+        runs += [Removal("", changes) for changes in alone_together]
+        counts.append(2 + len(alone_together))
+    records = run_all([Run(scenario, run.changes) for run in runs], threads)
     failed = [
-        None if record is None else judged(scenario, record, Removal("", changes)).failed
-        for record, changes in zip(records, runs, strict=True)
+        None if record is None else judged(scenario, record, run).failed
+        for record, run in zip(records, runs, strict=True)
     ]
     passing = [
         (first.cure + second.cure, first.cause.key, second.cause.key)
-        for number, (first, second) in enumerate(joint)
-        if failed[3 * number : 3 * number + 3] == [False, False, True]
+        for (first, second), outcomes in zip(joint, _split(failed, counts), strict=True)
+        if outcomes[:2] == [False, False] and all(outcomes[2:])
     ]
     return max(passing, key=lambda pair: pair[0])[1:] if passing else ()
 

@@ -69,6 +69,9 @@ def _uses(result: Result, judgement: Judgement) -> list[LimitUse]:
 
 def _not_settled(result: Result, judgement: Judgement) -> str:
     metrics = result.scenario.metrics
+    if metrics.dwell > result.scenario.simulation.duration:
+        run, dwell = apart(result.scenario.simulation.duration, metrics.dwell, 3)
+        return f"not settled: the run of {run} s is shorter than the dwell time of {dwell} s"
     error, band = apart(judgement.error * metrics.band, metrics.band, 3)
     return f"not settled: {error} px in the last {number(metrics.dwell)} s, outside the band of {band} px"
 
@@ -94,7 +97,8 @@ def warnings_of(result: Result, judgement: Judgement) -> tuple[str, ...]:
     """Return warnings: quantities near their limits, limits passed without a stop, and what a thin log hides."""
     found = []
     if len(result.time) < FEW:
-        found.append(f"The run logged {len(result.time)} samples: too few to see a drift or an oscillation.")
+        logged = f"{len(result.time)} samples" if len(result.time) > 1 else "1 sample"
+        found.append(f"The run logged {logged}: too few to see a drift or an oscillation.")
     if not judgement.failed:
         error, band = scene_of(result.scenario).settled_start, result.scenario.metrics.band
         if error is not None:
