@@ -5,6 +5,7 @@
 #include "hexservo/position_actuators.hpp"
 #include "hexservo/target_tracking.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <vector>
@@ -19,6 +20,7 @@ py::array_t<double> drive_response(const py::array_t<double, py::array::c_style 
                                    double speed_limit, double acceleration_limit) {
   if (commands.ndim() != 1) throw py::value_error("commands: expected shape (n,)");
   const PositionResponse<double> drive{bandwidth, damping, speed_limit, acceleration_limit};
+  rate = std::clamp(rate, -speed_limit, speed_limit);
   const PositionedLeg<double> leg(drive, leg_steps(drive, period), period);
   const auto command = commands.unchecked<1>();
   py::array_t<double> response(commands.shape(0));
@@ -67,6 +69,10 @@ void bind_drives(py::module_& m) {
         py::arg("bandwidth"), py::arg("damping"), py::arg("speed_limit"), py::arg("acceleration_limit"),
         "Coordinate of a drive that takes positions at each tick, (n,), before the tick's command (n,) is given; "
         "where it is before the first one, [m; m/s] or [rad; rad/s], is held.");
+  m.attr("OFF_THE_LINE") = kOffTheLine;
+  m.def(
+      "all_within", [](double one, int axes) { return all_within<double>(one, axes); }, py::arg("one"), py::arg("axes"),
+      "Square of the deviations within which all of so many numbers are as often as one is within `one`.");
   m.def("motor_response", &six_motors, py::arg("settings"), py::arg("commands"), py::arg("position"),
         py::arg("quaternion"),
         "Leg coordinates of a scenario's platform on motors at each tick, (n, 6) [m] or [rad], before the tick's "

@@ -316,6 +316,18 @@ void require_tracking(const Settings& settings) {
   }
 }
 
+/// That the timeout of a law that tracks has room for frames which wait for a reading of the joints.
+template <class Law, int N>
+void require_time_to_wait(const LoopParameters<double, Law, N>& p) {
+  if (!kTracks<Law> || p.pose_source != PoseSource::encoders) return;
+  const auto oldest = static_cast<double>(p.frames.period + oldest_stamp(p.frames) + p.encoders.period - 1);
+  if (!(p.frames.timeout >= oldest))
+    refuse("camera.timeout",
+           words("at least period, latency and latency_jitter together, and sensors.period less a tick, ",
+                 oldest * p.step, " s, with the law ", Law::traits.name, ", whose frames wait for a reading"),
+           words(p.frames.timeout * p.step));
+}
+
 /// That the virtual platform's steps follow its damping.
 template <int N>
 void require_damping(const SceneParameters<double, N>& p) {
@@ -736,6 +748,7 @@ LoopParameters<double, Law, N> loop_parameters(const Settings& settings, const H
     require_resolved(p.gains.fuzzy, block + ".fuzzy.", p.step);
   }
   require_motion(settings, p);
+  require_time_to_wait(p);
   require_steps_for_motors(p);
   require_running_start(p);
   return p;

@@ -361,15 +361,28 @@ def test_drives_that_have_nothing_to_act_with(name: str, key: str, silent: float
 
 
 def test_noise_that_the_filter_takes_for_a_jump() -> None:
-    """A jump of 6 assumed deviations is 4 of the noise where this is 1.5 times as large."""
+    """Six numbers are beyond what six deviations allow, 50.2, in one of 2600 frames: chi-square/r^2 of 24.9, r of 1.42.
+
+    As seldom as three deviations of one number are noise as assumed: 1 in 600 frames.
+    """
     takes = {"controller.law": "tracking", "camera.prediction": "none", "actuators.kind": "position"}
     head = hs.load_scenario("reachy-mini-head").updated(takes)
     start = "controller.tracking.noise"
     assumed = head.controller.tracking.noise
-    assert not any(line.startswith(start) for line in unlikely(head.updated({"camera.noise": 1.49 * assumed})))
-    assert "set it to 0.755" in only(head.updated({"camera.noise": 1.51 * assumed}), start)
-    rounded = {"camera.noise": 0.0, "camera.quantisation": 1.51 * assumed * math.sqrt(12.0)}  # as much
-    assert "set it to 0.755" in only(head.updated(rounded), start)
+    assert "readings of the joints" in only(head.updated({"camera.noise": 1.42 * assumed}), start)
+    exact = {"camera.noise": 1.42 * assumed, "sensors.resolution": 0.0}
+    assert not any(line.startswith(start) for line in unlikely(head.updated(exact)))
+    assert "set it to 0.715" in only(head.updated({"camera.noise": 1.43 * assumed}), start)
+    rounded = {"camera.noise": 0.0, "camera.quantisation": 1.43 * assumed * math.sqrt(12.0)}  # as much
+    assert "set it to 0.715" in only(head.updated(rounded), start)
+    perfect = {"camera.noise": 0.0, "camera.quantisation": 0.0, "sensors.resolution": 0.0}
+    assert not any(line.startswith(start) for line in unlikely(head.updated(perfect)))
+    jump = "controller.tracking.jump"
+    as_assumed = {"camera.noise": assumed, jump: 3.0}
+    assert "beyond 3 deviations up to once in 610 frames" in only(head.updated(as_assumed), jump)
+    assert not any(line.startswith(jump) for line in unlikely(head.updated({**as_assumed, jump: 4.0})))
+    both = {"camera.noise": 1.01 * assumed, jump: 3.0}  # more noise assumed would not end it
+    assert "beyond 3 deviations up to once in 610 frames" in only(head.updated(both), jump)
     assert "at nearly every frame" in only(head.updated({"camera.noise": 100.0 * assumed}), start)
     known = {"camera.noise": 1.1, start: 1.1}
     assert not any(line.startswith(start) for line in unlikely(head.updated(known)))

@@ -620,8 +620,9 @@ def test_a_platform_without_mass_has_one_pole(law: str, damping: float) -> None:
     left = np.linalg.norm(run.feature_error, axis=1)
     late = (run.time > 0.2) & (left > 1e-3 * left[0])
     rate = -np.polyfit(run.time[late], np.log(left[late]), 1)[0]
-    step = 0.005 * math.pi * frequency / damping  # the twist of a tick is held: rate is that of ln(1 - step)
-    assert rate == pytest.approx(math.pi * frequency / damping * (1.0 + step / 2.0), rel=0.03)
+    expected = -math.log1p(-0.005 * math.pi * frequency / damping) / 0.005  # the twist of a tick is held
+    print(f"{rate:.4f} 1/s, expected {expected:.4f}")
+    assert rate == pytest.approx(expected, rel=0.004)
 
 
 def test_lag_of_motors_is_that_of_their_servo() -> None:

@@ -834,3 +834,63 @@ def test_commands_begin_where_legs_are_that_start_beyond_their_stroke() -> None:
     print(f"largest step of the command {1e3 * fastest:.2f} mm of 3 mm, {1e3 * fast:.2f} mm at the speed limit")
     assert fastest <= fast < 0.003
     assert (out.leg_positions <= machine.mid_lengths + scenario.robot.stroke).all()
+
+
+@pytest.mark.parametrize("readings", [2, 3, 10])
+@pytest.mark.parametrize("feedback", [0.0, 0.3])
+def test_joints_that_are_not_read_at_every_tick(readings: int, feedback: float) -> None:
+    """A pose that is kept is no reading: taken for one, the machine follows its own motion and never rests."""
+    head = hs.load_scenario("reachy-mini-motors").updated(
+        {
+            "actuators.kind": "position",
+            "actuators.motor": {
+                "kp": 1000.0, "kv": 10.0, "damping": 0.0, "friction": 0.0, "armature": 0.0, "quantisation": 0.0,
+            },
+            "camera.noise": 0.0,
+            "sensors": {"resolution": 0.0, "period": readings * TICK},
+            "controller.tracking": {"integral": 0.0, "feedback": feedback},
+            "simulation.duration": 8.0,
+        }
+    )  # fmt: skip
+    run = hs.simulate(head)
+    late = float(np.abs(run.feature_error[run.time > 6.0]).max())
+    print(f"{late:.3f} px in the end")
+    assert late < 0.1
+
+
+@pytest.mark.parametrize("readings", [1, 3, 5])
+def test_readings_of_before_do_not_hold_back_legs_that_are_within_their_speed(readings: int) -> None:
+    """The command is bound to where the legs are by now, by the speed of the readings: a steady target is followed."""
+    moving = head(0.0, gains={"feedback": 0.3, "noise": 0.5, "bandwidth": 3.0}).updated(
+        {
+            "target.motion": {"kind": "velocity", "velocity": [0.0, 0.02, 0.0]},
+            "sensors": {"pose": "encoders", "period": readings * TICK},
+            "camera.noise": 0.0,
+            "simulation.duration": 6.0,
+        }
+    )
+    free = hs.simulate(moving)
+    fastest = float(np.abs(np.diff(free.leg_lengths, axis=0)).max()) / TICK
+    bound = hs.simulate(moving.updated({"actuators.position.speed_limit": 1.6 * fastest}))
+    late = free.time > 5.0
+    between = float(np.abs(bound.leg_lengths[late] - free.leg_lengths[late]).max())
+    print(f"{between:.2e} rad apart, {fastest * TICK:.2e} rad a tick")
+    assert between < 0.05 * fastest * TICK
+
+
+def test_a_timeout_has_room_for_frames_that_wait_for_a_reading() -> None:
+    base = hs.load_scenario("reachy-mini-motors")
+    age = base.camera.latency + base.camera.latency_jitter + (base.camera.period or TICK)
+    seldom = {"sensors.period": 5 * TICK, "camera.timeout": age + 3 * TICK}
+    with pytest.raises(ValueError, match=r"camera\.timeout: expected at least .* sensors\.period less a tick"):
+        base.updated(seldom)
+    run = hs.simulate(base.updated({**seldom, "camera.timeout": age + 4 * TICK}))
+    assert np.abs(run.feature_error[run.time > 3.0]).max() < 20.0
+
+
+def test_a_margin_counts_the_age_of_readings() -> None:
+    """As a delay: readings every third tick are up to two ticks old."""
+    scenario = hs.load_scenario("reachy-mini")
+    seldom = scenario.updated({"sensors.period": 3 * TICK})
+    later = scenario.updated({"actuators.delay": scenario.actuators.delay + 2 * TICK})
+    assert hs.feedback_margin(seldom) == hs.feedback_margin(later) < hs.feedback_margin(scenario)

@@ -94,16 +94,19 @@ class LegWatch {
 };
 
 /// The speeds of the legs that a sample shows: at its time, and the mean since the sample before, which no motion has
-/// without a speed as large in between. Legs that take positions are fastest between two ticks.
+/// without a speed as large in between. Legs that take positions are fastest between two ticks. What is beyond a limit
+/// by rounding alone, as of legs whose drives have the same limit, is the limit.
 template <class S>
 class LegTravel {
  public:
-  Vector6<S> speeds(double time, const LegMotion<S>& motion) noexcept {
+  Vector6<S> speeds(double time, const LegMotion<S>& motion, const S& limit) noexcept {
     using std::abs;
     Vector6<S> fastest = motion.speeds;
     if (!is_first_)
       for (int i = 0; i < 6; ++i)
         fastest(i) = max(fastest(i), S(abs(S(motion.lengths(i) - lengths_(i))) / S(time - time_)));
+    const S rounded = S(1.0 + kSpeedRounding) * limit;
+    for (int i = 0; i < 6; ++i) fastest(i) = select((fastest(i) > limit) & (fastest(i) <= rounded), limit, fastest(i));
     is_first_ = false;
     time_ = time;
     lengths_ = motion.lengths;
@@ -111,6 +114,8 @@ class LegTravel {
   }
 
  private:
+  static constexpr double kSpeedRounding = 1e-9;  ///< of a difference of two lengths over a period
+
   bool is_first_ = true;
   double time_ = 0.0;
   Vector6<S> lengths_ = Vector6<S>::Zero();

@@ -150,7 +150,7 @@ class LoopRecord {
     const LegWatch<S>& watch = metrics_->watch();
     if (!watch.acts()) return;
     const LegMotion<S> motion = watch.at(position_of(body), quaternion_of(body), twist_of(body));
-    stop_beyond(StopCause::leg_speed, travel_.speeds(time, motion), watch.speed_limit());
+    stop_beyond(StopCause::leg_speed, travel_.speeds(time, motion, watch.speed_limit()), watch.speed_limit());
     stop_beyond(StopCause::base_joint, motion.base_chords, watch.base_chord());
     stop_beyond(StopCause::platform_joint, motion.platform_chords, watch.platform_chord());
   }

@@ -449,7 +449,7 @@ class MetricsAccumulator {
   template <class Take>
   [[gnu::noinline]] void add_leg_motion(double time, const Sample<S, N>& sample, const Take& take) {
     const LegMotion<S> motion = watch_.at(sample.position, sample.quaternion, sample.twist);
-    speed_.add(time, travel_.speeds(time, motion), watch_.speed_limit(), take);
+    speed_.add(time, travel_.speeds(time, motion, watch_.speed_limit()), watch_.speed_limit(), take);
     base_joint_.add(time, motion.base_chords, watch_.base_chord(), take);
     platform_joint_.add(time, motion.platform_chords, watch_.platform_chord(), take);
   }

@@ -157,6 +157,9 @@ class PoseHistory {
     return of_lanes(tick, [this](double one) { return between(one, false); });
   }
 
+  bool empty() const noexcept { return count_ == 0; }
+  /// The latest tick that is kept; there has to be one.
+  double newest() const noexcept { return entries_[place(count_ - 1)].tick; }
   /// The earliest tick that is kept; there has to be one.
   double oldest() const noexcept {
     return entries_[place(count_ > entries_.size() ? count_ - entries_.size() : 0)].tick;

@@ -24,7 +24,7 @@ namespace hexservo {
 
 inline constexpr double kLegSteps = 8;         ///< least steps of a leg near its limits in a Runge-Kutta step
 inline constexpr double kMostLegSteps = 4096;  ///< most of them
-inline constexpr double kLegDecay = 0.1;       ///< most time of such a step, over that of the response's fastest mode
+inline constexpr double kLegDecay = 0.1;  ///< most time of such a step, times the rate of the response's fastest mode
 
 /// The response from x = q - q* and q-dot to both after a step, row by row: [x; q-dot] <- M [x; q-dot].
 /// @param bandwidth w/(2 pi) [Hz]; @param damping zeta [1]; @param step [s]
@@ -50,8 +50,7 @@ inline Vector4<double> leg_transition(double bandwidth, double damping, double s
 }
 
 /// In which steps a leg moves in one of the loop: those near its limits resolve the response, so that limits hold
-/// within them too. Of a response for which `kMostLegSteps` are too few, which hardly lags at all, a leg near its
-/// limits is off by what it moves, at these limits, in one of them.
+/// within them too. A response for which `kMostLegSteps` are too few hardly lags at all, and is not resolved there.
 /// @param step of the loop's Runge-Kutta method [s]
 inline LegSteps<double> leg_steps(const PositionResponse<double>& response, double step) {
   const double w = 6.283185307179586 * response.bandwidth, damping = response.damping;
@@ -111,8 +110,11 @@ class PositionedLeg {
       const Mask<S> moves = step < steps_.number;
       const S a = linear(x, v);
       const S free_x = steps_.part(0) * x + steps_.part(1) * v, free_v = steps_.part(2) * x + steps_.part(3) * v;
-      const Mask<S> free = (abs(a) <= acceleration_) & (abs(linear(free_x, free_v)) <= acceleration_) &
-                           (abs(v) <= speed_) & (abs(free_v) <= speed_);
+      // A leg that turns from faster to slower is up to kLegDecay^2/8 faster in between than at the ends.
+      const S free_a = linear(free_x, free_v);
+      const S fastest = select(a * free_a > S(0.0), speed_, S(S(1.0 - kLegDecay * kLegDecay / 8.0) * speed_));
+      const Mask<S> free =
+          (abs(a) <= acceleration_) & (abs(free_a) <= acceleration_) & (abs(v) <= fastest) & (abs(free_v) <= fastest);
       S end_x = free_x, end_v = free_v;
       if (!all(free)) {
         const S middle_v = clip(S(v + S(0.5) * h * limited(a)), S(-speed_), speed_);

@@ -50,6 +50,7 @@ struct TrackingPlan {
   Pose<S> home;
   Vector3<S> home_centre = Vector3<S>::Zero();  ///< of the camera at home, in B [m]
   Vector3<S> home_ray = Vector3<S>::Zero();     ///< to the desired middle, likewise [1]
+  bool has_readings = false;                    ///< whether the pose is that of readings, which not every tick may have
   long long poses = 0;                          ///< that are kept [ticks]
 };
 
@@ -71,6 +72,7 @@ struct TrackingState {
   Vector6<S> offset = Vector6<S>::Zero();  ///< o [m], or [rad]
   Vector6<S> behind = Vector6<S>::Zero();  ///< b, likewise
   Vector6<S> reading = unknown_six<S>();   ///< legs of the newest reading
+  Vector6<S> change = Vector6<S>::Zero();  ///< of a tick, up to it
   S still{0.0};                            ///< time since the reference came to rest [s]
   Mask<S> integrating = Mask<S>(false);
   Mask<S> recent = Mask<S>(false);  ///< at this tick: the newest frame that was taken is not older than the timeout
@@ -87,6 +89,7 @@ struct TrackingState {
     f.finite(offset);
     f.finite(behind);
     f(reading);  // NaN before the first one
+    f.finite(change);
     f.finite(still);
     f(integrating);
   }
@@ -165,19 +168,22 @@ TrackingPlan<S, N> tracking_plan(const LoopParameters<S, Tracking, N>& p, const 
   plan.home_ray = ahead * (S(1.0) / sqrt(ahead.squaredNorm()));
   plan.variance = p.gains.noise * p.gains.noise * squares / (task.camera.focal * task.camera.focal);
   const double latest = p.frames.stamped ? static_cast<double>(oldest_stamp(p.frames)) : kMaxLatency / p.step;
+  plan.has_readings = p.pose_source == PoseSource::encoders;
   plan.poses = 3 + static_cast<long long>(std::ceil(latest)) + p.frames.period;
   return plan;
 }
 
-/// Takes over the frame of a tick, if there is a new one.
+/// Takes over a new frame, once the joints have been read at its exposure or later.
+/// @param known of which tick the reading before this one was
 template <class S, int N>
 void take_frame(const SafetyGains<S, N>& gains, const ControlTask<S, N>& task, const TrackingPlan<S, N>& plan,
-                const Perceived<S, N>& seen, const SensorInput<S, N>& input, TrackingState<S>& state) noexcept {
+                const Perceived<S, N>& seen, const SensorInput<S, N>& input, double known,
+                TrackingState<S>& state) noexcept {
   TrackedTarget<S>& target = state.target;
-  const Mask<S> fresh = seen.usable & seen.joints & seen.complete & seen.whole & (seen.newest > target.seen_at) &
-                        (input.frame.exposure == seen.newest);
-  if (!any(fresh)) return;
   const S stamp = min(seen.newest, S(input.now));  // which it may be ahead of by rounding; poses are not
+  const Mask<S> due = ((input.frame.exposure == seen.newest) | (stamp > S(known))) & (stamp <= S(state.poses.newest()));
+  const Mask<S> fresh = seen.usable & seen.joints & seen.complete & seen.whole & (seen.newest > target.seen_at) & due;
+  if (!any(fresh)) return;
 
   Vector2<S> middle = Vector2<S>::Zero();
   S depth(0.0);
@@ -221,7 +227,7 @@ void take_frame(const SafetyGains<S, N>& gains, const ControlTask<S, N>& task, c
       const Pose<S> on_line = unit_pose<S>(state.poses.on_line(stamp));
       add(on_line, on_line);
       if (!directs) {  // a pose is seen better than joints are read in time: so much within a tick
-        const S least = max(S(stamp - S(1.0)), first), most = min(S(stamp + S(1.0)), S(input.now));
+        const S least = max(S(stamp - S(1.0)), first), most = min(S(stamp + S(1.0)), S(state.poses.newest()));
         add(unit_pose<S>(state.poses.at(least)), unit_pose<S>(state.poses.at(most)));
       }
     } else {
@@ -301,13 +307,12 @@ template <class S, int N>
   const Perceived<S, N>& seen = safety.perception.now();
   CommandedMotion<S>& motion = safety.motion;
   const S period(gains.period);
-  const Mask<S> sensed = seen.usable & seen.joints;
+  const Mask<S> sensed = seen.usable & seen.joints, read = sensed & (seen.read | Mask<S>(!plan.has_readings));
   const LegsSideBySide<S> seen_legs = inverse_kinematics(gains.legs, seen.pose.position, seen.R_BE);
   begin_motion(gains, seen, motion);
-  if (any(sensed)) {
-    state.poses.add(input.now, seen.pose, sensed);
-    take_frame(gains, task, plan, seen, input, state);
-  }
+  const double known = state.poses.empty() ? -std::numeric_limits<double>::infinity() : state.poses.newest();
+  if (any(read)) state.poses.add(input.now, seen.pose, read);
+  if (any(sensed) && !state.poses.empty()) take_frame(gains, task, plan, seen, input, known, state);
   Pose<S> goal;
   Vector6<S> goal_twist;
   pose_ahead(plan, state, input.now, period, goal, goal_twist);
@@ -364,7 +369,7 @@ template <class S, int N>
   const S rate = plan.gains.integral * period;
   const Vector6<S> seen_lengths = seen_legs.lengths.vector();
   const Mask<S> corrected = out.acts & sensed & (plan.gains.feedback > S(0.0)) & is_finite(S(seen_lengths.sum()));
-  const Mask<S> follows = corrected & ((!settled) | state.integrating);  // at rest what was added stays
+  const Mask<S> follows = corrected & read & ((!settled) | state.integrating);  // at rest what was added stays
   for (int i = 0; i < 6; ++i) {
     const S moved = clip(S(state.offset(i) + rate * (legs.lengths(i) - seen_lengths(i))), S(-gains.hexapod.stroke),
                          gains.hexapod.stroke);
@@ -375,13 +380,16 @@ template <class S, int N>
   }
 
   Vector6<S> command;
+  const double newest = state.poses.empty() ? input.now : state.poses.newest();
+  const S between(newest > known && std::isfinite(known) ? newest - known : 1.0), age(input.now - newest);
   for (int i = 0; i < 6; ++i) {
     const S wanted = reference(i) + plan.lead * feasible(i) + plan.lead_change * (feasible(i) - before(i)) / period +
                      state.behind(i) + state.offset(i);
-    const S change = seen_lengths(i) - state.reading(i);
-    const S acted_on = seen_lengths(i) + S(plan.delay + 0.5) * select(is_finite(change), change, S(0.0));
+    const S change = (seen_lengths(i) - state.reading(i)) / between;
+    state.change(i) = select(read, select(is_finite(change), change, S(0.0)), state.change(i));
+    const S acted_on = seen_lengths(i) + (S(plan.delay + 0.5) + age) * state.change(i);
     command(i) = select(corrected, clip(wanted, S(acted_on - plan.reach), S(acted_on + plan.reach)), wanted);
-    state.reading(i) = select(sensed, seen_lengths(i), state.reading(i));
+    state.reading(i) = select(read, seen_lengths(i), state.reading(i));
   }
   out.wrench = wrench_of_motion(gains.body, R_BE, motion.twist, Vector6<S>((twist - motion.twist) * (S(1.0) / period)));
   out.leg_forces = solver.leg_forces(out.wrench);

@@ -29,8 +29,6 @@ _OF_RUN = 0.1  # periods of the bandwidth that a run must have at least
 _SLOW = 0.5  # of the bandwidth: motions below it are slow
 _LEFT = 0.02  # share of the image error that may be slow, or stay
 _TURNED = 0.9  # share of rotations in the common motion of the features
-_OF_NOISE = 4.0  # deviations of the camera's noise that a jump must be of: six coordinates reach it in 1 of 2600 frames
-_COORDINATES = 6  # of a target's pose
 _COUPLED = 0.85, 1.2  # least and most of the time to settle, over that without products of the inertia
 _DEVIATIONS = 3.0  # of the features about rest that metrics.band should hold
 _HALF_DECADES = 12  # by which a prior is reduced in search of one that leaves less, at most
@@ -41,6 +39,9 @@ _OF_MOTION = frozenset(  # spring, damping and adaptation of the laws whose axes
 _WIDE = 0.1  # of the stroke: a motion of the platform's joints that an integral should not leave
 _NARROW = 0.02  # of the stroke: what it leaves with the band that is suggested
 _ROUNDING = 1.0 + 1e-9
+
+SELDOM = 2600.0
+"""Frames of which noise may restart the estimate of a target in one."""
 
 
 def of_gains(scene: Scene, fastest: float | None) -> Iterator[str]:
@@ -133,14 +134,48 @@ def _of_noise(scenario: Scenario, law: str) -> Iterator[str]:
     """Find noise and rounding of the camera that the filter of the target takes for a target that is somewhere else."""
     true = feature_noise(scenario.camera)
     assumed, jump = value_at(scenario, f"{law}.noise"), value_at(scenario, f"{law}.jump")
-    if scenario.simulation.mode == SAMPLED_MODE and jump * assumed * _ROUNDING < _OF_NOISE * true:
-        frames = round(1.0 / (_COORDINATES * math.erfc(jump * assumed / true / math.sqrt(2.0))))
-        often = f"every {frames} frames or so" if frames > 1 else "at nearly every frame"
+    share = share_of_restarts(scenario, law)
+    if share * SELDOM < 1.0:
+        return
+    as_assumed = share_of_restarts(scenario.updated({f"{law}.noise": true}), law)
+    if as_assumed * SELDOM < 1.0:
+        value, written = apart(assumed, true)
         yield (
-            f"{law}.noise: {number(assumed)} px is less than the {number(true)} px of camera.noise and "
-            f"camera.quantisation, so that these alone are beyond {law}.jump and restart the estimate of the target "
-            f"{often}, and the machine may not stay on its goal; set it to {number(true)}"
+            f"{law}.noise: {value} px is less than the {written} px of camera.noise and camera.quantisation, so that "
+            f"these alone are beyond {law}.jump and restart the estimate of the target {_how_often(share)}, and the "
+            f"machine may not stay on its goal; set it to {number(true)}"
         )
+    else:
+        yield (
+            f"{law}.jump: noise as it is assumed is beyond {number(jump)} deviations {_how_often(as_assumed)}, and "
+            "restarts the estimate of the target; a jump of 4 or more is seldom noise"
+        )
+
+
+def _how_often(share: float) -> str:
+    return f"up to once in {below(1.0 / share, 2)} frames" if share < 0.5 else "at nearly every frame"
+
+
+def share_of_restarts(scenario: Scenario, law: str) -> float:
+    """Return in which share of the frames, at most, the camera's noise restarts the estimate of the target.
+
+    As if what the filter expects were certain: its own variance makes restarts more seldom.
+
+    Parameters
+    ----------
+    scenario
+        Whose law estimates the target's pose.
+    law
+        Block of its gains.
+    """
+    from scipy.stats import chi2  # here, since a check of most scenarios does without the import
+
+    true, assumed = feature_noise(scenario.camera), value_at(scenario, f"{law}.noise")
+    if scenario.simulation.mode != SAMPLED_MODE or true == 0.0:
+        return 0.0
+    numbers = 3 if value_at(scenario, f"{law}.follow") == "direction" else 6
+    within = _core.all_within(value_at(scenario, f"{law}.jump"), numbers)
+    return float(chi2.sf(within * (assumed / true) ** 2, numbers))
 
 
 def _of_times(scenario: Scenario, key: str, bandwidth: float) -> Iterator[str]:
@@ -173,8 +208,8 @@ def image_delay(scenario: Scenario) -> float:
     Joints carry a predicted image along, and where drives take positions the image is seen from where the legs are sent
     (docs/model.md, section 7): then age and lag act in the share delta/(1 + delta) of the motion, over all points, that
     depths which are too large by delta carry wrongly. Depths that are too small take nothing away. A frame with
-    a wrong stamp is carried too far or too short by that time, and both take as much. No stamp shows the lag of a
-    filter.
+    a wrong stamp is carried too far or too short by that time. Too short is a delay; too far takes less damping, and in
+    the end stability, and counts as much. No stamp shows the lag of a filter.
     """
     if scenario.simulation.mode != SAMPLED_MODE:
         return 0.0

@@ -8,8 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hexservo import _core
 from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.scene import Scene
+from hexservo.findings.check_gains import SELDOM, share_of_restarts
 from hexservo.findings.check_gate import moved_between_frames
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.laws import Tracking
@@ -32,7 +34,9 @@ def of_tracking(scene: Scene) -> Iterator[str]:
 def _of_noise(scene: Scene, gains: Tracking) -> Iterator[str]:
     """Find noise that looks like motion; of the camera alone it is `check_gains` that names it."""
     true = scene.image_noise
-    if true > _TIMES * gains.noise and true > 2.0 * feature_noise(scene.scenario.camera):
+    share = share_of_restarts(scene.scenario, f"controller.{scene.scenario.controller.law}")
+    of_joints = true > 2.0 * feature_noise(scene.scenario.camera) or share * SELDOM < 1.0
+    if true > _TIMES * gains.noise and of_joints:
         yield (
             f"controller.tracking.noise: {number(gains.noise)} px is less than the {number(true, 2)} px that the "
             "readings of the joints (sensors.resolution, sensors.noise) and the camera leave in the image, so that the "
@@ -72,8 +76,9 @@ def _of_motion(scene: Scene, gains: Tracking) -> Iterator[str]:
     yield (
         f"controller.tracking.certainty: target.motion moves the target at up to {quantity(speeds.max(), 'm/s')}, "
         f"and the velocity of the law's filter counts from about {quantity(counts, 'm/s')} on, where it is "
-        f"certainty ({number(gains.certainty)}) times what noise of {number(gains.noise)} px leaves in it: until then "
-        f"{until}; set controller.tracking.noise to that of the features, or certainty to 0, with which every velocity "
+        f"certainty ({number(gains.certainty)}) times what noise of {number(gains.noise)} px leaves in it, and while "
+        f"the platform follows from up to three times that on: until then {until}; set controller.tracking.noise to "
+        "that of the features, or certainty to 0, with which every velocity "
         "counts"
     )
 
@@ -109,7 +114,7 @@ class SteadyFilter:
     @property
     def off_line(self) -> float:
         """Return the standard deviations of the place of a pose at which the filter leaves the line (`all_within`)."""
-        return 5.0 * math.sqrt(1.0 + 2.5 * self.axes / (5.0**2 + 2.0))
+        return math.sqrt(_core.all_within(_core.OFF_THE_LINE, self.axes))
 
     def in_deviations(self, vectors: Array, deviations: Array) -> Array:
         """Return the lengths of translations (k, 3) in standard deviations (n,) along the modes, (k,)."""

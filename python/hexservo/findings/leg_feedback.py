@@ -27,10 +27,12 @@ def feedback_margin(scenario: Scenario) -> float:
     The loop is one leg with the response of `actuators.position`, commanded by minus the gain times its reading, with
     the law's lag for legs of one slow pole (docs/model.md, section 5), held for a servo period and late by
     `actuators.delay`, but by one period at least: what reads and commands once per period acts in the next one, and an
-    identification may have taken that for a part of the leg's lag. The
-    reference and the estimate of the target are not in that loop, nor are limits of speed and acceleration: the whole
-    law oscillates from about 0.75 of the margin on. Half of it (6 dB) leaves room for that, and for what the response
-    lacks.
+    identification may have taken that for a part of the leg's lag. Readings every so many periods
+    (`sensors.period`) are up to one less of them old, which counts as delay: the margin is then approximate.
+
+    The reference and the estimate of the target are not in that loop, nor are limits of speed and acceleration: the
+    whole law oscillates from about 0.75 of the margin on. Half of it (6 dB) leaves room for that, and for what the
+    response lacks.
 
     Parameters
     ----------
@@ -143,7 +145,9 @@ def _leg(scenario: Scenario) -> _Leg:
     held = np.asarray(expm(system))[:2] - np.eye(3)[:2]
     apart = math.sqrt(max(damping**2 - 1.0, 0.0))
     lag = _core.FEEDBACK_EASE * 2.0 * apart / w  # a share of what the slow time constant of the leg is longer
-    delay = max(round(actuators.delay / period), 1)
+    sensors = scenario.sensors
+    readings = round(sensors.period / period) if sensors.pose == "encoders" and sensors.period else 1
+    delay = max(round(actuators.delay / period), 1) + readings - 1
     rates = [w / (damping + apart), 1.0 / ((delay + 1) * period), *([1.0 / lag] if lag > 0.0 else [])]
     return _Leg(held, delay, -math.expm1(-period / lag) if lag > 0.0 else 1.0, min(rates) * period)
 
