@@ -153,9 +153,11 @@ class Controller:
         ----------
         features
             (2p,) of p points, measured pixels (x1, y1, ..., xp, yp) as the scenario's camera counts them [px], those of
-            `project`: by ``camera.principal_point``, ``axes`` and ``distortion``, which the tick takes out. NaN
-            for a point that the frame does not show. None: no frame arrived since the last tick, whatever `depth` is,
-            and the one before is used, or predicted.
+            `project`, `Result.pixels` and `Observation.pixels`: by ``camera.principal_point``, ``axes`` and
+            ``distortion``, which the tick takes out. Features of the pinhole, as in `Observation.features`, are
+            others wherever the camera has one of these; no status reports that. NaN for a point that the frame does
+            not show. None: no frame arrived since the last tick, whatever `depth` is, and the one before is used, or
+            predicted.
         depth
             (p,), measured Z of the points at the exposure, along the axis of the camera, which is that of E unless it
             has a ``camera.mount``; negative in front of the camera, with either of ``camera.axes`` [m]. None: not

@@ -15,6 +15,7 @@ from hexservo.scenario.arrays import Array, real_numbers
 from hexservo.scenario.fields import described
 from hexservo.scenario.laws import ALL_LAWS
 from hexservo.scenario.parameters import core_parameters
+from hexservo.scenario.pixels import assumed_pixels
 from hexservo.scenario.scenario import Scenario
 
 
@@ -43,9 +44,13 @@ class Observation(NamedTuple):
     """(4,), attitude of E in B, (w, x, y, z), by the joint sensors."""
     twist: Array
     """(6,), (velocity; angular velocity) in B, by the joint sensors [m/s; rad/s]."""
+    pixels: Array
+    """(2p,), `features` as `Controller.step` takes them: in pixels of the camera that the controller assumes, by
+    ``camera.principal_point``, ``axes`` and ``distortion`` [px]; NaN as the features, and where the lens shows no such
+    point."""
 
 
-_seen_of = attrgetter(*Observation._fields)  # of what the core has seen, under equal names
+_seen_of = attrgetter(*Observation._fields[:-1])  # of what the core has seen, under equal names
 
 
 @described
@@ -71,11 +76,13 @@ def run_with(scenario: Scenario, controller: OwnController) -> _core.Trajectory:
         What the controller raises, as it is; where the interpreter can (from Python 3.11 on), with a note that names
         the tick.
     """
-    run = _core.SampledRun(core_parameters(scenario))
+    settings = core_parameters(scenario)
+    run = _core.SampledRun(settings)
+    pixels_of = assumed_pixels(scenario, settings)
     try:
         while run.running:
             seen = run.observe()
-            observation = Observation._make(_seen_of(seen))
+            observation = Observation._make((*_seen_of(seen), pixels_of(seen.features)))
             try:
                 command = controller(observation)
             except Exception as error:

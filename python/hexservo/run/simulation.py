@@ -30,8 +30,9 @@ def simulate(scenario: Scenario, *, controller: OwnController | None = None, log
     controller
         A function to be called at every servo tick in place of the scenario's law, in sampled mode alone. It takes an
         `Observation` and gives a wrench in B about E's origin, (6,) [N; N m], or `LegForces`. Until every point has
-        been seen once, what acts is the wrench that holds the platform, whatever it gives. Python sets the pace: a few
-        hundred thousand ticks a second at the very most.
+        been seen once, what acts is the wrench that holds the platform, whatever it gives. `Controller.step` takes the
+        observation's `pixels`, not its `features`. Python sets the pace: a few hundred thousand ticks a second at the
+        very most.
     log_weights
         Whether `Result.weight_history` holds the weights of the fuzzy systems at every logged sample, (n, 6, 7, 7)
         [N, N m]: 2.4 kB each, within the limit that a log has. It stays None where no fuzzy systems act: for other
