@@ -9,7 +9,8 @@ import numpy as np
 from hexservo import _core
 from hexservo.run.custom_controller import OwnController, function_name, run_with
 from hexservo.run.metrics import METRICS
-from hexservo.run.result import LimitEvent, LimitKind, Outcome, Result, quantities
+from hexservo.run.quantities import Outcome, quantities
+from hexservo.run.result import LimitEvent, LimitKind, Result
 from hexservo.run.variant import chosen_kernel
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario, require_scenario
