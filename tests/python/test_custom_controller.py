@@ -119,6 +119,13 @@ def test_a_command_that_is_none_is_refused_with_its_tick(sampled: hs.Scenario, c
     assert words in str(caught.value)
 
 
+def test_leg_forces_whose_wrench_overflows_are_refused_with_their_tick(sampled: hs.Scenario) -> None:
+    largest = hs.LegForces(np.full(6, 1e308))
+    words = r"^controller: expected leg forces with a finite wrench at tick 7 \(t = 0\.007 s\), got \[1\.e\+308 "
+    with pytest.raises(ValueError, match=words):
+        hs.simulate(sampled, controller=lambda seen: largest if seen.tick == 7 else hold(seen))
+
+
 def test_its_own_errors_surface_as_they_are_with_the_tick(sampled: hs.Scenario) -> None:
     class MyError(Exception):
         pass

@@ -71,7 +71,7 @@ def run_with(scenario: Scenario, controller: OwnController) -> _core.Trajectory:
     ------
     ValueError
         For a scenario that is not in sampled mode, and for a command of another shape or with numbers that are not
-        finite, with its tick.
+        finite, or leg forces whose wrench is not, with its tick.
     Exception
         What the controller raises, as it is; where the interpreter can (from Python 3.11 on), with a note that names
         the tick.
@@ -90,12 +90,20 @@ def run_with(scenario: Scenario, controller: OwnController) -> _core.Trajectory:
                     error.add_note(f"raised by the controller {_at(observation)}")
                 raise
             if isinstance(command, LegForces):
-                run.command_legs(_six("leg forces", command.forces, observation))
+                _command_legs(run, command, observation)
             else:
                 run.command(_six("a wrench", command, observation))
     except KeyboardInterrupt:
         pass  # what was computed is kept, and the trajectory is marked
     return run.finish()
+
+
+def _command_legs(run: _core.SampledRun, command: LegForces, seen: Observation) -> None:
+    forces = _six("leg forces", command.forces, seen)
+    try:
+        run.command_legs(forces)
+    except ValueError:  # finite numbers whose sum is not
+        raise ValueError(f"controller: expected leg forces with a finite wrench {_at(seen)}, got {forces}") from None
 
 
 def function_name(function: object) -> str:

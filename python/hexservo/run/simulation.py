@@ -47,7 +47,8 @@ def simulate(scenario: Scenario, *, controller: OwnController | None = None, log
     ValueError
         For a scenario that the core refuses (a `Scenario` is checked when it is made, so this is rare); where the log
         would not fit because of the weights; for a controller in continuous mode; for a command of another shape or
-        with numbers that are not finite, with its tick. What the controller itself raises goes through as it is.
+        with numbers that are not finite, or leg forces whose wrench is not, with its tick. What the controller itself
+        raises goes through as it is.
     VariantError
         Where the environment variable HEXSERVO_VARIANT asks for a compiled variant that is not there.
     """
