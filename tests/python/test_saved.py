@@ -291,6 +291,27 @@ def test_a_path_is_text_bytes_or_an_object_for_it(
             call()
 
 
+def test_an_empty_path_is_refused_as_such(limited: hs.Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`Path` takes it for the current folder, in which a campaign was written."""
+    monkeypatch.chdir(tmp_path)
+    vary = {"robot.mass": {"uniform": [0.05, 0.06]}}
+    plan = {"scenario": limited.scenario, "vary": vary, "require": ["outcome == completed"], "runs": 1}
+    doors: tuple[tuple[type[ValueError], Callable[[], object]], ...] = (
+        (hs.OutputError, lambda: limited.save("")),
+        (hs.OutputError, lambda: hs.write_report(limited, "")),
+        (hs.OutputError, lambda: hs.plots.paper_figures(limited, "")),
+        (hs.OutputError, lambda: hs.campaign(plan, "")),
+        (hs.ResultError, lambda: hs.load_result("")),
+        (hs.ResultError, lambda: hs.load_campaign("")),
+        (hs.ScenarioError, lambda: hs.read_log("")),
+        (hs.ScenarioError, lambda: camera_from_file("")),
+    )
+    for error, call in doors:
+        with pytest.raises(error, match=r"expected a path, got an empty one$"):
+            call()
+    assert not list(tmp_path.iterdir())
+
+
 def test_what_is_no_regular_file_is_not_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A pipe would wait for its other end, and /dev/zero never ends."""
     monkeypatch.chdir(tmp_path)
