@@ -45,7 +45,10 @@ MARKER = ".hexservo-site"  # in every folder that is written here
 REFERENCE = {
     "Scenarios": ["load_scenario", "scenario_names", "Scenario", "ScenarioError", "camera_from_opencv"],
     "Reach": ["project", "reachable", "Reachability"],
-    "Runs": ["simulate", "Result", "LimitEvent", "metrics", "METRICS", "load_result", "ResultError", "VariantError"],
+    "Runs": [
+        *("simulate", "Result", "LimitEvent", "metrics", "METRICS", "load_result"),
+        *("ResultError", "OutputError", "VariantError"),
+    ],
     "Controllers": [
         "Controller",
         "ControllerOutput",

@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from hexservo.run.controller import Controller, ControllerOutput
     from hexservo.run.custom_controller import LegForces, Observation
     from hexservo.run.metrics import METRICS, metrics
+    from hexservo.run.publish import OutputError
     from hexservo.run.result import LimitEvent, Result
     from hexservo.run.saved import load_result
     from hexservo.run.sealed import ResultError
@@ -75,6 +76,7 @@ __all__ = [
     "LimitEvent",
     "Log",
     "Observation",
+    "OutputError",
     "RareFailures",
     "Reachability",
     "Result",
@@ -147,6 +149,7 @@ _MODULES = {
     "run.controller": ("Controller", "ControllerOutput"),
     "run.custom_controller": ("LegForces", "Observation"),
     "run.metrics": ("METRICS", "metrics"),
+    "run.publish": ("OutputError",),
     "run.result": ("LimitEvent", "Result"),
     "run.saved": ("load_result",),
     "run.sealed": ("ResultError",),
@@ -161,14 +164,16 @@ _PLACES = {name: f"hexservo.{module}" for module, names in _MODULES.items() for 
 drawn_by(lambda: import_module("hexservo.report.notebook"))
 
 
-def __getattr__(name: str) -> Any:
-    """Import what a public name stands for when it is first used."""
-    if name in ("bridges", "plots"):
-        return import_module(f"hexservo.{name}")
-    if name not in _PLACES:
-        raise AttributeError(f"module 'hexservo' has no attribute {name!r}")
-    value = globals()[name] = getattr(import_module(_PLACES[name]), name)
-    return value
+if not TYPE_CHECKING:  # a type checker takes a module with this function to have every name
+
+    def __getattr__(name: str) -> Any:
+        """Import what a public name stands for when it is first used."""
+        if name in ("bridges", "plots"):
+            return import_module(f"hexservo.{name}")
+        if name not in _PLACES:
+            raise AttributeError(f"module 'hexservo' has no attribute {name!r}")
+        value = globals()[name] = getattr(import_module(_PLACES[name]), name)
+        return value
 
 
 def __dir__() -> list[str]:

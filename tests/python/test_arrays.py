@@ -25,6 +25,7 @@ def test_numbers_become_floats(given: Any) -> None:
     [
         True, np.bool_(False), [True, False], [True, 0.5], [[0.0], (np.bool_(True),)],
         np.ones(6, dtype=bool), np.array([1.5, True], dtype=object),
+        [np.array(True), 0.5], [np.ones(2, dtype=bool), [0.0, 1.0]], [np.ma.masked, 0.5],
         "1", ["1"], 1j, None, [[1.0], [1.0, 2.0]], np.ma.array([1.0], mask=[True]), 10**400,
     ],
 )  # fmt: skip
@@ -37,5 +38,10 @@ def test_booleans_are_refused_as_poses_and_as_commands() -> None:
     with pytest.raises(ValueError, match=r"^pose: expected "):
         hs.reachable(paper, np.ones(6, dtype=bool))
     sampled = paper.updated({"simulation.mode": "sampled", "simulation.duration": 0.01})
-    with pytest.raises(ValueError, match=r"^controller: expected a wrench of 6 finite numbers at tick 0"):
-        hs.simulate(sampled, controller=lambda seen: np.ones(6, dtype=bool))
+    for command in (np.ones(6, dtype=bool), [np.array(True), 0, 0, 0, 0, 0]):
+
+        def gives(seen: hs.Observation, command: Any = command) -> Any:
+            return command
+
+        with pytest.raises(ValueError, match=r"^controller: expected a wrench of 6 finite numbers at tick 0"):
+            hs.simulate(sampled, controller=gives)

@@ -629,6 +629,14 @@ def test_a_dataset_shares_no_memory_with_the_batch(smooth: hs.Scenario, log: Log
         ),
         ({"uncertainty.depth": ["0.1"]}, r"^uncertainty.depth: expected an array of numbers of shape \(n,\).*, got"),
         ({"uncertainty.depth": [True]}, r"^uncertainty.depth: expected an array of numbers of shape \(n,\).*, got"),
+        ({"uncertainty.depth": [np.array(True), 0.5]}, r"^uncertainty.depth: expected an array of numbers of shape"),
+        ({"simulation.duration": [True, 0.5]}, r"^simulation.duration: expected an array of numbers of shape \(n,\)"),
+        ({"seed": [True, 2]}, r"^seed: expected an array of numbers of shape \(n,\), n scenarios, got entries"),
+        (
+            {"controller.hybrid.kp": [[True] * 7 + [0.01]]},
+            r"^controller.hybrid.kp: expected an array of numbers of shape",
+        ),
+        ({"uncertainty.depth": [np.ma.masked, 0.1]}, r"^uncertainty.depth: expected an array of numbers of shape"),
         (
             {"uncertainty.depth": [[0.1], [0.2, 0.3]]},
             r"^uncertainty.depth: expected an array of numbers of shape \(n,\).*, got",

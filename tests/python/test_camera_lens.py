@@ -180,6 +180,25 @@ def test_wrong_intrinsics_are_the_controllers(plain_camera: hs.Scenario) -> None
     np.testing.assert_allclose(long.pixels[-1], scenario.target.desired_features, rtol=0, atol=2.0)
 
 
+@pytest.mark.parametrize("lens", LENSES)
+def test_a_custom_controller_is_given_the_pixels_that_the_tick_takes(plain_camera: hs.Scenario, lens: str) -> None:
+    """They are those of the image, whatever the controller assumes wrongly, and by them the tick is the law itself."""
+    scenario = in_pixels(plain_camera, lens).updated(
+        {"uncertainty.focal_length": 0.02, "uncertainty.principal_point": [3.0, -2.0], "simulation.duration": 0.05}
+    )
+    tick = hs.Controller(scenario, period=scenario.simulation.step)
+    given: list[np.ndarray] = []
+
+    def law(seen: hs.Observation) -> np.ndarray:
+        given.append(seen.pixels)
+        return tick.step(seen.pixels, seen.depth, seen.position, seen.quaternion, seen.twist).wrench
+
+    own, core = hs.simulate(scenario, controller=law), hs.simulate(scenario)
+    np.testing.assert_allclose(given, own.pixels, rtol=0, atol=1e-9)  # the residual of the rectification
+    np.testing.assert_allclose(own.position, core.position, rtol=0, atol=1e-11)  # as with and without a lens
+    np.testing.assert_allclose(own.pixels, core.pixels, rtol=0, atol=1e-6)
+
+
 def test_the_controller_takes_pixels(plain_camera: hs.Scenario) -> None:
     """`hs.Controller` is the controller of the simulation: it rectifies what it is given."""
     scenario = in_pixels(plain_camera, "kannala_brandt").updated({"controller.law": "kelly"})

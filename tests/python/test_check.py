@@ -17,6 +17,7 @@ from hexservo.findings.analysis.linear_law import NotFiniteError
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check import fastest_rate, unlikely
 from hexservo.findings.check_keys import keys_without_effect, needed_by, settings_needed
+from hexservo.scenario.blocks import Robot
 from hexservo.scenario.core_defaults import core_default
 from hexservo.scenario.fitted import gains_written
 from hexservo.scenario.keys import value_at
@@ -423,7 +424,7 @@ def test_a_focal_length_that_is_not_in_pixels() -> None:
         assert bool(found) is wide
 
 
-def in_millimetres(robot: hs.Robot) -> dict[str, Any]:
+def in_millimetres(robot: Robot) -> dict[str, Any]:
     lengths = ("platform_radius", "base_radius", "stroke")
     return {
         **{f"robot.{name}": 1e3 * getattr(robot, name) for name in lengths},

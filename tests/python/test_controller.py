@@ -369,6 +369,9 @@ def test_shapes_are_checked(paper: hs.Scenario, controller: hs.Controller, name:
     ]:
         with pytest.raises(ValueError, match=rf"^{name}: expected {size} numbers, got .*{got}"):
             controller.step(**{**given, name: wrong})
+    for boolean in (True, np.array(True)):
+        with pytest.raises(ValueError, match=rf"^{name}: expected numbers, got .*True"):
+            controller.step(**{**given, name: [boolean, *given[name][1:].tolist()]})
     np.testing.assert_array_equal(controller.fuzzy_weights, weights)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -60,14 +61,17 @@ def test_it_sees_every_tick_and_what_the_sensors_give(sampled: hs.Scenario) -> N
     assert not result.fuzzy_weights.any()
 
 
-def test_the_packaged_controller_as_a_function_is_the_law_itself(sampled: hs.Scenario) -> None:
+def as_function(scenario: hs.Scenario) -> Callable[[hs.Observation], np.ndarray[Any, Any]]:
+    """The packaged controller as a custom one, as README has it."""
+    tick = hs.Controller(scenario, period=scenario.simulation.step)
+    return lambda seen: tick.step(seen.pixels, seen.depth, seen.position, seen.quaternion, seen.twist).wrench
+
+
+@pytest.mark.parametrize("wrong", [[0.0, 0.0], [3.0, -2.0]])
+def test_the_packaged_controller_as_a_function_is_the_law_itself(sampled: hs.Scenario, wrong: list[float]) -> None:
     smooth = sampled.updated({"controller.switching": {"kind": "tanh", "width": 0.01}, "camera.latency": 0.0})
-    controller = hs.Controller(smooth, period=smooth.simulation.step)
-
-    def law(seen: hs.Observation) -> np.ndarray[Any, Any]:
-        return controller.step(seen.features, seen.depth, seen.position, seen.quaternion, seen.twist).wrench
-
-    own, core = hs.simulate(smooth, controller=law), hs.simulate(smooth)
+    smooth = smooth.updated({"uncertainty.principal_point": wrong})
+    own, core = hs.simulate(smooth, controller=as_function(smooth)), hs.simulate(smooth)
     np.testing.assert_allclose(own.feature_error, core.feature_error, rtol=0, atol=1e-9)
     np.testing.assert_allclose(own.wrench, core.wrench, rtol=0, atol=1e-11)
     assert hs.metrics(own) == pytest.approx(hs.metrics(core), rel=1e-9, nan_ok=True)
@@ -113,6 +117,13 @@ def test_a_command_that_is_none_is_refused_with_its_tick(sampled: hs.Scenario, c
     with pytest.raises(ValueError, match=r"controller: expected .* at tick 7 \(t = 0\.007 s\), got ") as caught:
         hs.simulate(sampled, controller=lambda seen: command if seen.tick == 7 else hold(seen))
     assert words in str(caught.value)
+
+
+def test_leg_forces_whose_wrench_overflows_are_refused_with_their_tick(sampled: hs.Scenario) -> None:
+    largest = hs.LegForces(np.full(6, 1e308))
+    words = r"^controller: expected leg forces with a finite wrench at tick 7 \(t = 0\.007 s\), got \[1\.e\+308 "
+    with pytest.raises(ValueError, match=words):
+        hs.simulate(sampled, controller=lambda seen: largest if seen.tick == 7 else hold(seen))
 
 
 def test_its_own_errors_surface_as_they_are_with_the_tick(sampled: hs.Scenario) -> None:

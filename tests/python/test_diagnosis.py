@@ -1413,7 +1413,7 @@ def test_a_custom_controller_is_diagnosed_from_the_recorded_signals_alone() -> N
     tick = hs.Controller(scenario, period=scenario.simulation.step)
 
     def own(seen: hs.Observation) -> Any:
-        return tick.step(seen.features, seen.depth, seen.position, seen.quaternion, seen.twist).wrench
+        return tick.step(seen.pixels, seen.depth, seen.position, seen.quaternion, seen.twist).wrench
 
     result = hs.simulate(scenario.updated({"simulation.duration": 0.5}), controller=own)
     diagnosis = hs.diagnose(result)

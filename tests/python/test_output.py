@@ -318,7 +318,7 @@ def test_a_file_is_no_folder(result: hs.Result, tmp_path: Path) -> None:
             write_results(result, place, force=True)
 
 
-@pytest.mark.parametrize("name", [".", "", "../here"])
+@pytest.mark.parametrize("name", [".", "../here"])
 def test_the_current_folder_is_not_replaced_under_the_user(
     result: hs.Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
@@ -326,6 +326,14 @@ def test_the_current_folder_is_not_replaced_under_the_user(
     monkeypatch.chdir(tmp_path / "here")
     with refused_and_kept(tmp_path, "other than the current one"):
         write_results(result, name)
+
+
+def test_an_empty_path_is_not_the_current_folder(
+    result: hs.Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with refused_and_kept(tmp_path, "folder: expected a path, got an empty one"):
+        write_results(result, "")
 
 
 @pytest.mark.parametrize(

@@ -90,7 +90,9 @@ def result(request: pytest.FixtureRequest) -> hs.Result:
 def first(result: hs.Result, count: int) -> hs.Result:
     """The first samples of a run."""
     arrays = [name for name, value in vars(result).items() if isinstance(value, np.ndarray) and name != "fuzzy_weights"]
-    return replace(result, **{name: getattr(result, name)[:count] for name in arrays})
+    return replace(
+        result, end_time=float(result.time[count - 1]), **{name: getattr(result, name)[:count] for name in arrays}
+    )
 
 
 def line(figure: Figure, name: str) -> Array:

@@ -22,6 +22,7 @@ import xarray
 import hexservo as hs
 from hexservo.campaigns.plan import load_plan
 from hexservo.run.publish import OutputError
+from hexservo.run.quantities import quantities
 from hexservo.run.saved import _parsed
 from hexservo.run.saving import result_bytes, save_result
 from hexservo.run.sealed import FORMAT, MAX_BYTES, sealed_bytes
@@ -112,7 +113,7 @@ def test_the_history_of_the_weights_comes_back(paper: hs.Scenario, tmp_path: Pat
     def sample(dataset: xarray.Dataset) -> None:
         dataset["weight_history"][3, 0, 0, 0] = np.nan
 
-    with pytest.raises(hs.ResultError, match=r"\(variable weight_history, which has numbers that are not finite\)"):
+    with pytest.raises(hs.ResultError, match=r"\(weight_history, which has numbers that are not finite\)"):
         hs.load_result(forged(result, tmp_path / "x.nc", sample))
 
 
@@ -184,19 +185,68 @@ def test_what_would_not_be_read_back_is_not_written(
     limited: hs.Result, tmp_path: Path, name: str, value: float, what: str
 ) -> None:
     array = np.full_like(getattr(limited, name), value)
-    with pytest.raises(ValueError, match=f"^result: expected the arrays of a run, got {name}, which .*{what}"):
+    with pytest.raises(ValueError, match=f"^result: expected the data of a run, got {name}, which .*{what}"):
         dataclasses.replace(limited, **{name: array}).save(tmp_path / "run.nc")
     assert not list(tmp_path.iterdir())
 
 
-def test_a_result_with_nan_is_neither_reported_nor_diagnosed(limited: hs.Result, tmp_path: Path) -> None:
-    damaged = dataclasses.replace(limited, feature_error=np.full_like(limited.feature_error, np.nan))
-    for use in (hs.diagnose, lambda result: hs.write_report(result, tmp_path / "report.html")):
+def rows(result: hs.Result, kept: slice) -> dict[str, Any]:
+    return {name: getattr(result, name)[kept] for name in ("time", *quantities(result.scenario.target.count))}
+
+
+# what is changed in a result -> what is refused
+ALTERED: dict[str, tuple[Callable[[hs.Result], dict[str, Any]], str]] = {
+    "NaN": (lambda run: {"feature_error": np.full_like(run.feature_error, np.nan)}, "feature_error, which has numbers"),
+    "trimmed": (lambda run: rows(run, slice(100)), "end_time, which is not the last time"),
+    "empty": (lambda run: rows(run, slice(0)), "time, which has no sample"),
+    "one array trimmed": (
+        lambda run: {"position": run.position[:100]},
+        r"position, of shape \(100, 3\) where \(501, 3\) is expected",
+    ),
+    "other points": (
+        lambda run: {"depth": run.depth[:, :3]},
+        r"depth, of shape \(501, 3\) where \(501, 4\) is expected",
+    ),
+    "one precision": (
+        lambda run: {"wrench": run.wrench.astype(np.float32)},
+        "wrench, which is not an array of float64",
+    ),
+    "a list": (lambda run: {"twist": run.twist.tolist()}, "twist, which is not an array of float64"),
+    "another end": (lambda run: {"end_time": 5.0}, "end_time, which is not the last time"),
+    "another outcome": (lambda run: {"outcome": "splendid"}, 'outcome "splendid", which is not known'),
+    "no metrics": (lambda run: {"streamed_metrics": {}}, "streamed_metrics, which lacks settling_time"),
+}
+
+
+@pytest.mark.parametrize("change", ALTERED)
+def test_a_result_that_is_no_run_is_refused_wherever_one_is_taken(
+    limited: hs.Result, tmp_path: Path, change: str
+) -> None:
+    """And not written into a file that `load_result` would call damaged."""
+    changes, words = ALTERED[change]
+    altered = dataclasses.replace(limited, **changes(limited))
+    uses: tuple[Callable[[hs.Result], object], ...] = (
+        lambda result: result.save(tmp_path / "run.nc"),
+        lambda result: hs.write_report(result, tmp_path / "report.html"),
+        lambda result: hs.plots.paper_figures(result, tmp_path / "figures"),
+        hs.diagnose,
+        hs.plots.feature_errors,
+        hs.plots.feature_paths,
+        hs.plots.platform_motion,
+        hs.plots.control_wrench,
+        hs.plots.leg_limits,
+    )
+    for use in uses:
         with pytest.raises(
-            ValueError, match=r"^result: expected the arrays of a run, got feature_error, which has num"
+            ValueError, match=f"^result: expected the data of a run, got {words}.*; use what hs.simulate"
         ):
-            use(damaged)
+            use(altered)
     assert not list(tmp_path.iterdir())
+
+
+def test_whole_numbers_among_metrics_are_saved(limited: hs.Result, tmp_path: Path) -> None:
+    whole = dataclasses.replace(limited, streamed_metrics={**hs.metrics(limited), "effort": 2})
+    assert hs.metrics(hs.load_result(saved(tmp_path, whole)))["effort"] == 2.0
 
 
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:
@@ -239,6 +289,27 @@ def test_a_path_is_text_bytes_or_an_object_for_it(
     for call in folders:
         with pytest.raises(TypeError, match=r"^folder: expected a path, got int$"):
             call()
+
+
+def test_an_empty_path_is_refused_as_such(limited: hs.Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`Path` takes it for the current folder, in which a campaign was written."""
+    monkeypatch.chdir(tmp_path)
+    vary = {"robot.mass": {"uniform": [0.05, 0.06]}}
+    plan = {"scenario": limited.scenario, "vary": vary, "require": ["outcome == completed"], "runs": 1}
+    doors: tuple[tuple[type[ValueError], Callable[[], object]], ...] = (
+        (hs.OutputError, lambda: limited.save("")),
+        (hs.OutputError, lambda: hs.write_report(limited, "")),
+        (hs.OutputError, lambda: hs.plots.paper_figures(limited, "")),
+        (hs.OutputError, lambda: hs.campaign(plan, "")),
+        (hs.ResultError, lambda: hs.load_result("")),
+        (hs.ResultError, lambda: hs.load_campaign("")),
+        (hs.ScenarioError, lambda: hs.read_log("")),
+        (hs.ScenarioError, lambda: camera_from_file("")),
+    )
+    for error, call in doors:
+        with pytest.raises(error, match=r"expected a path, got an empty one$"):
+            call()
+    assert not list(tmp_path.iterdir())
 
 
 def test_what_is_no_regular_file_is_not_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -305,10 +376,10 @@ FORGERIES: dict[str, tuple[Callable[[xarray.Dataset], Any], str]] = {
     "no attribute": (lambda data: data.attrs.pop("scenario"), "attribute scenario"),
     "text for a number": (lambda data: data.attrs.update(end_time="soon"), "attribute end_time"),
     "a number for text": (lambda data: data.attrs.update(detail=1.0), "attribute detail"),
-    "another end": (lambda data: data.attrs.update(end_time=0.25), "attribute end_time, which is not the last time"),
+    "another end": (lambda data: data.attrs.update(end_time=0.25), "end_time, which is not the last time"),
     "no outcome": (
         lambda data: data.attrs.update(outcome="splendid"),
-        'a known outcome, got "splendid"',
+        'outcome "splendid", which is not known',
     ),
     "no scenario": (lambda data: data.attrs.update(scenario="name: x"), "its scenario: ScenarioError: "),
     "no table": (lambda data: data.attrs.update(event_table="kind"), "attribute event_table"),
@@ -317,20 +388,20 @@ FORGERIES: dict[str, tuple[Callable[[xarray.Dataset], Any], str]] = {
         "attribute event_table",
     ),
     "no variable": (lambda data: data.drop_vars("wrench"), "KeyError"),
-    "no sample": (lambda data: data.isel(time=slice(0)), "variable time, which has no sample"),
-    "NaN": (lambda data: data["twist"].data.__setitem__((2, 1), np.nan), "variable twist, which has numbers that are"),
-    "infinity": (lambda data: data["depth"].data.__setitem__((2, 1), -np.inf), "variable depth, which has numbers"),
-    "one precision": (lambda data: data.assign(wrench=data["wrench"].astype(np.float32)), "variable wrench"),
-    "text": (lambda data: data.assign(wrench=data["wrench"].astype(str)), "variable wrench"),
-    "five legs": (lambda data: data.isel(leg=slice(5)), r"variable leg_lengths: shape \(501, 5\) where \(501, 6\) is"),
-    "a transposed array": (lambda data: data.transpose(), "variable feature_error: shape"),
+    "no sample": (lambda data: data.isel(time=slice(0)), "time, which has no sample"),
+    "NaN": (lambda data: data["twist"].data.__setitem__((2, 1), np.nan), "twist, which has numbers that are"),
+    "infinity": (lambda data: data["depth"].data.__setitem__((2, 1), -np.inf), "depth, which has numbers"),
+    "one precision": (lambda data: data.assign(wrench=data["wrench"].astype(np.float32)), "wrench, which is "),
+    "text": (lambda data: data.assign(wrench=data["wrench"].astype(str)), "wrench, which is "),
+    "five legs": (lambda data: data.isel(leg=slice(5)), r"leg_lengths, of shape \(501, 5\) where \(501, 6\) is"),
+    "a transposed array": (lambda data: data.transpose(), "feature_error, of shape"),
     "time stands still": (
         lambda data: data.assign_coords(time=data.time * 0),
-        "variable time, which does not increase",
+        "time, which does not increase",
     ),
-    "time goes back": (lambda data: data.isel(time=slice(None, None, -1)), "attribute end_time|variable time"),
-    "no rotation": (lambda data: data.assign(quaternion=data.quaternion * 2), "variable quaternion, which is not of"),
-    "behind the camera": (lambda data: data.assign(depth=-data.depth), "variable depth, which is not negative"),
+    "time goes back": (lambda data: data.isel(time=slice(None, None, -1)), "end_time, which|time, which"),
+    "no rotation": (lambda data: data.assign(quaternion=data.quaternion * 2), "quaternion, which is not of"),
+    "behind the camera": (lambda data: data.assign(depth=-data.depth), "depth, which is not negative"),
 }
 
 
@@ -352,7 +423,7 @@ def test_an_array_that_only_seems_large(limited: hs.Result, tmp_path: Path) -> N
     content = io.BytesIO()
     with h5py.File(content, "w") as file:
         file.create_dataset("time", shape=(10**12,), chunks=(1000,), dtype="<f8")
-    with pytest.raises(hs.ResultError, match="variable time"):
+    with pytest.raises(hs.ResultError, match="time, which is larger than the file"):
         _parsed(content.getvalue(), "x.nc")
 
 

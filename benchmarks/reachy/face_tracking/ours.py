@@ -16,6 +16,7 @@ from face_tracking.machine import TICK, kinematics
 from face_tracking.published import Frame
 from face_tracking.scene import EYE, FRONT, LANDMARKS, Array, Camera
 from hexservo.run.export import gains_header
+from hexservo.scenario import blocks
 
 __all__ = ["LAWS", "ExportedController", "OurController", "compiled", "settings"]
 
@@ -119,7 +120,7 @@ def stamp_of(frame: Frame, now: float, finds_latency: bool) -> float:
     return frame.arrival if finds_latency else now
 
 
-def depths_of(frame: Frame, camera: hs.Camera) -> Array:
+def depths_of(frame: Frame, camera: blocks.Camera) -> Array:
     """Return the depths (5,) [m] of the landmarks of a face at the assumed distance, along the ray to its middle.
 
     A distance along the axis in its place would have a face that rests come nearer while the camera turns to it.

@@ -16,9 +16,11 @@ __all__ = ["control", "fmu", "gymnasium", "mjcf"]
 _PLACES = {"control": "state_space", "fmu": "fmi", "gymnasium": "environment", "mjcf": "mujoco_model"}
 
 
-def __getattr__(name: str) -> Any:
-    """Import what a public name stands for when it is first used."""
-    if name not in _PLACES:
-        raise AttributeError(f"module 'hexservo.bridges' has no attribute {name!r}")
-    value = globals()[name] = getattr(import_module(f"hexservo.bridges.{_PLACES[name]}"), name)
-    return value
+if not TYPE_CHECKING:  # as in hexservo itself
+
+    def __getattr__(name: str) -> Any:
+        """Import what a public name stands for when it is first used."""
+        if name not in _PLACES:
+            raise AttributeError(f"module 'hexservo.bridges' has no attribute {name!r}")
+        value = globals()[name] = getattr(import_module(f"hexservo.bridges.{_PLACES[name]}"), name)
+        return value

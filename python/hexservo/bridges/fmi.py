@@ -19,7 +19,7 @@ from hexservo.bridges.model_description import UnitVariable, model_description
 from hexservo.run.c_library import c_library
 from hexservo.run.controller import tick_keys, unused_by_law
 from hexservo.run.metrics import METRICS, metric_unit
-from hexservo.run.result import quantities
+from hexservo.run.quantities import quantities
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.flat import flat
 from hexservo.scenario.leg_units import leg_units, unit_of, unit_of_entry

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from hexservo.campaigns.plan import CampaignPlan
 from hexservo.campaigns.store import locked, other_format, remove_drafts, require_empty, write_bytes, write_text
+from hexservo.run.files import output_path
 from hexservo.run.publish import OutputError, named
-from hexservo.scenario.reading import path_text
 from hexservo.scenario.version import VERSION
 from hexservo.scenario.yaml import ScenarioError, dump_yaml, read_yaml
 
@@ -43,7 +43,7 @@ class SearchSteps:
         generations: int,
         warn: Callable[[str], object],
     ) -> None:
-        self.folder = Path(path_text("folder", folder))
+        self.folder = output_path("folder", folder)
         self.plan = plan
         self.warn = warn
         self.count = 0  # steps that were asked for

@@ -19,9 +19,10 @@ from typing import TYPE_CHECKING, Any
 
 from hexservo.campaigns.chunks import unsealed_chunk
 from hexservo.campaigns.plan import CampaignPlan
+from hexservo.run.files import output_path
 from hexservo.run.publish import OutputError, named, synchronize
 from hexservo.run.sealed import ResultError
-from hexservo.scenario.reading import path_text
+from hexservo.scenario.reading import EMPTY_PATH, path_text
 from hexservo.scenario.rules import shown_value
 from hexservo.scenario.version import VERSION
 from hexservo.scenario.yaml import ScenarioError, dump_yaml, read_yaml
@@ -59,7 +60,7 @@ class Store:
     """A campaign's folder, of which this process is the only writer while `opened` lasts."""
 
     def __init__(self, folder: str | os.PathLike[str], plan: CampaignPlan, record: dict[str, Any]) -> None:
-        self.folder = Path(path_text("folder", folder))
+        self.folder = output_path("folder", folder)
         self.plan = plan
         self.record = record
         self.drawing = plan.drawing()
@@ -354,7 +355,10 @@ def read_plan(folder: str | os.PathLike[str]) -> tuple[CampaignPlan, dict[str, A
     ResultError
         There is no campaign, one that was changed since, or one of a format that this version does not read.
     """
-    path = Path(path_text("folder", folder)) / PLAN
+    place = path_text("folder", folder)
+    if not place:
+        raise ResultError(f"folder: {EMPTY_PATH}")
+    path = Path(place) / PLAN
     if not path.is_file():
         raise ResultError(f"{named(path.parent)}: expected the folder of a campaign, got one without {PLAN}")
     try:

@@ -13,6 +13,7 @@ from hexservo.draw.panels import draw_over_time
 from hexservo.draw.style import PAGE, styled
 from hexservo.run.leg_motion import leg_motions
 from hexservo.run.result import Result, require_result
+from hexservo.run.saving import require_run
 from hexservo.run.time_panels import leg_panel
 
 if TYPE_CHECKING:
@@ -54,9 +55,10 @@ def leg_limits(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | None = N
     TypeError
         For anything but a `Result`, and for axes that are none.
     ValueError
-        For any other number of axes.
+        For any other number of axes, and where the data are not those of a run (see `Result.save`).
     """
     require_result(result)
+    require_run(result)
     motions = leg_motions(result)
     shown = [replace(leg_panel(motion), title=f"{motion.title} (limit: {motion.limit.text})") for motion in motions]
     boxes = [(0.68, _BOTTOM + _STEP * number, 6.04, _HEIGHT) for number in reversed(range(len(shown)))]

@@ -8,6 +8,7 @@ from pathlib import Path
 from hexservo.draw.plots import paper_images
 from hexservo.run.files import check_folder, write_folder
 from hexservo.run.result import Result, require_result
+from hexservo.run.saving import require_run
 
 
 def paper_figures(result: Result, folder: str | os.PathLike[str], *, force: bool = False) -> list[Path]:
@@ -34,10 +35,13 @@ def paper_figures(result: Result, folder: str | os.PathLike[str], *, force: bool
     ------
     TypeError
         For anything but a `Result`.
+    ValueError
+        Where the data are not those of a run (see `Result.save`).
     OutputError
         The folder cannot take the files (a `ValueError`); then nothing is written.
     """
     require_result(result)
+    require_run(result)
     check_folder(folder, force=force)
     images = paper_images(result)
 

@@ -63,6 +63,7 @@ from hexservo.run.metrics import metrics
 from hexservo.run.result import Result, require_result
 from hexservo.run.samples import ImageView, feature_names, fuzzy_acted, image_views, initial_direction, path_samples
 from hexservo.run.samples import parts as _parts
+from hexservo.run.saving import require_run
 from hexservo.run.time_panels import motion_panels
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import core_parameters
@@ -191,8 +192,11 @@ def feature_errors(result: Result, *, ax: Axes | None = None) -> Figure | Axes:
     ------
     TypeError
         For anything but a `Result`, and for axes that are none.
+    ValueError
+        Where the data are not those of a run (see `Result.save`).
     """
     require_result(result)
+    require_run(result)
     require_axes(ax)
     band = result.scenario.metrics.band
     points = result.scenario.target.count
@@ -261,8 +265,11 @@ def feature_paths(result: Result, *, ax: Axes | None = None) -> Figure | Axes:
     ------
     TypeError
         For anything but a `Result`, and for axes that are none.
+    ValueError
+        Where the data are not those of a run (see `Result.save`).
     """
     require_result(result)
+    require_run(result)
     require_axes(ax)
     views = image_views(result)
     if ax is not None:
@@ -324,9 +331,10 @@ def platform_motion(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | Non
     TypeError
         For anything but a `Result`, and for axes that are none.
     ValueError
-        For any other number of axes.
+        For any other number of axes, and where the data are not those of a run (see `Result.save`).
     """
     require_result(result)
+    require_run(result)
     boxes = [(0.68, bottom, 6.04, 1.3) for bottom in (2.01, 0.48)]
     return draw_over_time(Figure(figsize=(PAGE, 3.6)), result, motion_panels(result), boxes, axes)
 

@@ -41,16 +41,16 @@ def write_report(result: Result, path: str | os.PathLike[str], *, force: bool = 
     TypeError
         For anything but a `Result`.
     ValueError
-        An array has numbers that no run has, such as NaN.
+        Where the data are not those of a run (see `Result.save`).
     OutputError
         The file exists, is not a report, or cannot be written; its name has an ending other than .html and .htm.
     """
     from hexservo.report.page import page
     from hexservo.run.result import require_result
-    from hexservo.run.saving import require_arrays
+    from hexservo.run.saving import require_run
 
     require_result(result)
-    require_arrays(result)
+    require_run(result)
     check_report(path, force=force)  # before the work
     write_file(page(result), path, TITLE, _AUTHOR, force=force)
 

@@ -21,7 +21,8 @@ from hexservo.run.display import batch_text
 from hexservo.run.drawn import html_of
 from hexservo.run.metrics import METRICS, asked_metrics, metric_unit
 from hexservo.run.progress import ProgressCallback, Report, reported
-from hexservo.run.result import labelling, quantities
+from hexservo.run.quantities import quantities
+from hexservo.run.result import labelling
 from hexservo.run.variant import chosen_kernel
 from hexservo.run.variations import (
     changes_of_run,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hexservo import _core
-from hexservo.scenario.arrays import Array, real_numbers
+from hexservo.scenario.arrays import Array, holds_no_number, real_numbers
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.fields import described
 from hexservo.scenario.parameters import Settings, core_parameters
@@ -21,6 +21,8 @@ InputStatus: TypeAlias = Literal["valid", "unusable", "missing_image", "stale_im
 # Time that was given last [s], and periods from it to the next tick: counted, since a sum of periods drifts away from
 # the exposures, and frames then seem to come from the future.
 _START = (0.0, 0)
+
+_MEASURED = ("features", "depth", "position", "quaternion", "twist", "leg_lengths", "leg_rates")
 
 _SEEN_FROM_HOME = ("target.initial_features", "target.depth")  # in place of points
 _OF_POSITIONS = ("actuators.position.", "controller.virtual_platform.")  # the core refuses them beside forces
@@ -153,9 +155,11 @@ class Controller:
         ----------
         features
             (2p,) of p points, measured pixels (x1, y1, ..., xp, yp) as the scenario's camera counts them [px], those of
-            `project`: by ``camera.principal_point``, ``axes`` and ``distortion``, which the tick takes out. NaN
-            for a point that the frame does not show. None: no frame arrived since the last tick, whatever `depth` is,
-            and the one before is used, or predicted.
+            `project`, `Result.pixels` and `Observation.pixels`: by ``camera.principal_point``, ``axes`` and
+            ``distortion``, which the tick takes out. Features of the pinhole, as in `Observation.features`, are
+            others wherever the camera has one of these; no status reports that. NaN for a point that the frame does
+            not show. None: no frame arrived since the last tick, whatever `depth` is, and the one before is used, or
+            predicted.
         depth
             (p,), measured Z of the points at the exposure, along the axis of the camera, which is that of E unless it
             has a ``camera.mount``; negative in front of the camera, with either of ``camera.axes`` [m]. None: not
@@ -182,8 +186,9 @@ class Controller:
         TypeError
             For times that are no numbers.
         ValueError
-            "name: expected 8 numbers, got ..." for an argument of another shape or of no numbers.
+            "name: expected 8 numbers, got ..." for an argument of another shape or of no numbers, such as booleans.
         """
+        _refuse_booleans(features, depth, position, quaternion, twist, leg_lengths, leg_rates)
         given, periods = self._clock if now is None else (_seconds("now", now), 0)
         time = given + periods * self.period
         exposed = np.nan if features is None else time if exposure is None else _seconds("exposure", exposure)
@@ -263,6 +268,13 @@ def tick_keys(settings: Settings) -> Iterator[_core.ScenarioKey]:
 
 def _takes_positions(settings: Settings) -> bool:
     return bool(settings["simulation.mode"] == SAMPLED_MODE and settings["actuators.kind"] != "force")
+
+
+def _refuse_booleans(*given: ArrayLike | None) -> None:
+    """Refuse lists with booleans among numbers as arguments of a tick: the core would get 0 and 1."""
+    for name, values in zip(_MEASURED, given, strict=True):
+        if isinstance(values, list | tuple) and holds_no_number(values):
+            raise ValueError(f"{name}: expected numbers, got {values!r:.60}")
 
 
 def _seconds(name: str, given: object) -> float:

@@ -15,6 +15,7 @@ from hexservo.scenario.arrays import Array, real_numbers
 from hexservo.scenario.fields import described
 from hexservo.scenario.laws import ALL_LAWS
 from hexservo.scenario.parameters import core_parameters
+from hexservo.scenario.pixels import assumed_pixels
 from hexservo.scenario.scenario import Scenario
 
 
@@ -43,9 +44,13 @@ class Observation(NamedTuple):
     """(4,), attitude of E in B, (w, x, y, z), by the joint sensors."""
     twist: Array
     """(6,), (velocity; angular velocity) in B, by the joint sensors [m/s; rad/s]."""
+    pixels: Array
+    """(2p,), `features` as `Controller.step` takes them: in pixels of the camera that the controller assumes, by
+    ``camera.principal_point``, ``axes`` and ``distortion`` [px]; NaN as the features, and where the lens shows no such
+    point."""
 
 
-_seen_of = attrgetter(*Observation._fields)  # of what the core has seen, under equal names
+_seen_of = attrgetter(*Observation._fields[:-1])  # of what the core has seen, under equal names
 
 
 @described
@@ -66,16 +71,18 @@ def run_with(scenario: Scenario, controller: OwnController) -> _core.Trajectory:
     ------
     ValueError
         For a scenario that is not in sampled mode, and for a command of another shape or with numbers that are not
-        finite, with its tick.
+        finite, or leg forces whose wrench is not, with its tick.
     Exception
         What the controller raises, as it is; where the interpreter can (from Python 3.11 on), with a note that names
         the tick.
     """
-    run = _core.SampledRun(core_parameters(scenario))
+    settings = core_parameters(scenario)
+    run = _core.SampledRun(settings)
+    pixels_of = assumed_pixels(scenario, settings)
     try:
         while run.running:
             seen = run.observe()
-            observation = Observation._make(_seen_of(seen))
+            observation = Observation._make((*_seen_of(seen), pixels_of(seen.features)))
             try:
                 command = controller(observation)
             except Exception as error:
@@ -83,12 +90,20 @@ def run_with(scenario: Scenario, controller: OwnController) -> _core.Trajectory:
                     error.add_note(f"raised by the controller {_at(observation)}")
                 raise
             if isinstance(command, LegForces):
-                run.command_legs(_six("leg forces", command.forces, observation))
+                _command_legs(run, command, observation)
             else:
                 run.command(_six("a wrench", command, observation))
     except KeyboardInterrupt:
         pass  # what was computed is kept, and the trajectory is marked
     return run.finish()
+
+
+def _command_legs(run: _core.SampledRun, command: LegForces, seen: Observation) -> None:
+    forces = _six("leg forces", command.forces, seen)
+    try:
+        run.command_legs(forces)
+    except ValueError:  # finite numbers whose sum is not
+        raise ValueError(f"controller: expected leg forces with a finite wrench {_at(seen)}, got {forces}") from None
 
 
 def function_name(function: object) -> str:

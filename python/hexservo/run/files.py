@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import NoReturn, TypeAlias
 
 from hexservo.run.publish import OutputError, Place, draft_beside, named, publish, signals_raised, synchronize
-from hexservo.scenario.reading import path_text
+from hexservo.scenario.reading import EMPTY_PATH, path_text
 from hexservo.scenario.version import VERSION
 
 MARKER = ".hexservo-output"
@@ -43,7 +43,7 @@ def check_folder(folder: str | os.PathLike[str], *, force: bool = False) -> None
 
 def has_results(folder: str | os.PathLike[str]) -> bool:
     """Return whether a folder holds earlier results, which `write_folder` with force would replace."""
-    return os.path.lexists(Path(path_text("folder", folder), MARKER))
+    return os.path.lexists(output_path("folder", folder) / MARKER)
 
 
 def write_folder(
@@ -98,15 +98,31 @@ def write_folder(
             if isinstance(error, OSError):
                 _refuse_unwritable(path, error)
             raise
-    return Path(path_text("folder", folder))
+    return output_path("folder", folder)
 
 
 # ---- Names and words ------------------------------------------------------------------------------------------------
 
 
+def output_path(name: str, given: object) -> Path:
+    """Return a path that was given as an argument, where something is to be written.
+
+    Raises
+    ------
+    TypeError
+        As `path_text`.
+    OutputError
+        "name: expected a path, got an empty one".
+    """
+    text = path_text(name, given)
+    if not text:
+        raise OutputError(f"{name}: {EMPTY_PATH}")
+    return Path(text)
+
+
 def _located(folder: str | os.PathLike[str]) -> Path:
     """Return an absolute path with every link resolved but the last part, which is what gets renamed."""
-    path = Path(path_text("folder", folder))
+    path = output_path("folder", folder)
     try:
         parent = os.path.realpath(path if path.name in ("", "..") else path.parent)
     except (OSError, ValueError) as error:  # a NUL in it
@@ -207,7 +223,7 @@ def check_file(file: str | os.PathLike[str], title: Recogniser, author: str, *, 
     OutputError
         As `write_file`, as far as it can be checked without writing.
     """
-    path = Path(path_text("path", file))
+    path = output_path("path", file)
     with _refusing_in_words(path):
         _File(path, title, author, force).check_early()
 
@@ -241,7 +257,7 @@ def write_file(
     OutputError
         The file exists, is not ours, or cannot be written.
     """
-    path = Path(path_text("path", file))
+    path = output_path("path", file)
     place = _File(path, title, author, force)
     with _refusing_in_words(path), signals_raised():
         place.check_early()

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, field
-from functools import cache
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from hexservo.run.display import result_text
 from hexservo.run.drawn import html_of
 from hexservo.run.metrics import readable_unit
+from hexservo.run.quantities import WRENCH, Outcome, quantities
 from hexservo.run.saving import save_result, saved_attributes
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.fields import described
@@ -26,16 +26,6 @@ if TYPE_CHECKING:
     from hexservo.scenario.blocks import Robot
     from hexservo.scenario.scenario import Scenario
 
-Outcome: TypeAlias = Literal[
-    "completed",
-    "diverged",
-    "behind_camera",
-    "feature_lost",
-    "leg_limit",
-    "singular",
-    "solver_failed",
-    "interrupted",
-]
 LimitKind: TypeAlias = Literal["stroke", "force", "speed", "base_joint", "platform_joint"]
 
 # kind -> unit, what a leg exceeds
@@ -46,36 +36,6 @@ _LIMITS: dict[str, tuple[str, str]] = {
     "base_joint": ("rad", "the base joint of leg {} exceeded its limit"),
     "platform_joint": ("rad", "the platform joint of leg {} exceeded its limit"),
 }
-
-_AXES = ["x", "y", "z"]
-_LEGS = [1, 2, 3, 4, 5, 6]
-_TWIST = ["vx", "vy", "vz", "wx", "wy", "wz"]
-_WRENCH = ["fx", "fy", "fz", "mx", "my", "mz"]
-
-Quantity: TypeAlias = tuple[str, list[str] | list[int], str, str]
-"""Second dimension, its labels, unit, what it is; the first dimension is time."""
-
-_OF_PLATFORM: dict[str, Quantity] = {
-    "position": ("axis", _AXES, "m", "platform position in the base frame B"),
-    "quaternion": ("quaternion_component", ["w", "x", "y", "z"], "1", "platform attitude in the base frame B"),
-    "twist": ("twist_component", _TWIST, "m/s; rad/s", "platform velocity and angular velocity in B"),
-    "wrench": ("wrench_component", _WRENCH, "N; N m", "force and moment about the platform's centre, in B"),
-    "fuzzy_output": ("wrench_component", _WRENCH, "N; N m", "output of the fuzzy systems, subtracted from the wrench"),
-    "leg_lengths": ("leg", _LEGS, "m", "leg lengths"),
-    "leg_forces": ("leg", _LEGS, "N", "leg forces, positive where they push the platform away from the base"),
-}
-
-
-@cache
-def quantities(points: int) -> dict[str, Quantity]:
-    """Return what a sample of a run with so many points holds, by name (not to be changed)."""
-    numbers = range(1, points + 1)
-    features = [f"{axis}{number}" for number in numbers for axis in "xy"]
-    return {
-        "feature_error": ("feature", features, "px", "desired minus true feature coordinates"),
-        "depth": ("point", list(numbers), "m", "true Z of the points in the camera's frame C, negative in front"),
-        **_OF_PLATFORM,
-    }
 
 
 def leg_words(robot: Robot, name: str, meaning: str) -> str:
@@ -88,7 +48,7 @@ def labelling(scenario: Scenario, name: str) -> tuple[dict[str, list[str] | list
     """Return the labels of an array's dimensions beside time and scenarios, by dimension, and its unit and meaning."""
     if name in ("fuzzy_weights", "weight_history"):
         meaning = "weights of the fuzzy systems" + (" at the end" if name == "fuzzy_weights" else "")
-        labels = {"wrench_component": list(_WRENCH), "error_term": list(TERMS), "rate_term": list(TERMS)}
+        labels = {"wrench_component": list(WRENCH), "error_term": list(TERMS), "rate_term": list(TERMS)}
         return {**labels}, {"units": "N; N m", "long_name": meaning}
     robot = scenario.robot
     dimension, numbers, unit, meaning = quantities(scenario.target.count)[name]
@@ -198,7 +158,8 @@ class Result:
         OutputError
             The file exists, is no result, or cannot be written (a `ValueError`).
         ValueError
-            An array has numbers that no run has, such as NaN: nothing is written.
+            Arrays, ``end_time``, outcome or metrics are not those of a run (another shape or type, NaN): nothing is
+            written.
         """
         save_result(self, path, force=force)
 

@@ -10,12 +10,12 @@ from typing import Any, cast, get_args
 import numpy as np
 
 from hexservo.run.metrics import METRICS
-from hexservo.run.result import LimitEvent, LimitKind, Outcome, Result, quantities
-from hexservo.run.saving import EVENT_HEAD, HISTORY, problem_of_values
+from hexservo.run.quantities import HISTORY, Outcome, array_shapes, problem_of_run
+from hexservo.run.result import LimitEvent, LimitKind, Result
+from hexservo.run.saving import EVENT_HEAD
 from hexservo.run.sealed import ResultError, line_of, refuse_changed, sealed_blocks, shown_path
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.reading import RESULT_OF_RUN, open_regular
-from hexservo.scenario.wording import quoted
 from hexservo.scenario.yaml import ScenarioError
 
 _TEXTS = ("controller", "outcome", "detail", "scenario", "hexservo_version", "event_table")
@@ -63,10 +63,10 @@ def _parsed(content: bytes, place: str) -> tuple[dict[str, Array], dict[str, Any
         with h5py.File(io.BytesIO(content), "r") as file:  # netCDF's own library has trouble closing damaged files
             attributes = {name: _plain(file.attrs[name]) for name in (*_TEXTS, *_NUMBERS) if name in file.attrs}
             arrays = {}
-            for name in _array_shapes(0, HISTORY in file):
+            for name in array_shapes(0, HISTORY in file):
                 data = file[name]
-                if data.dtype != np.float64 or data.nbytes > len(content):  # more than was written
-                    refuse_changed(place, f"variable {name}")
+                if data.nbytes > len(content):  # more than was written
+                    refuse_changed(place, f"{name}, which is larger than the file")
                 arrays[name] = np.ascontiguousarray(data[...])
     except ResultError:
         raise
@@ -84,18 +84,13 @@ def _result(arrays: Mapping[str, Array], attributes: Mapping[str, Any], place: s
     for name in (*_TEXTS, *_NUMBERS):
         if not isinstance(attributes.get(name), float if name in _NUMBERS else str):
             refuse_changed(place, f"attribute {name}")
-    _check_arrays(arrays, place)
     texts, numbers = ({name: attributes[name] for name in names} for names in (_TEXTS, _NUMBERS))
-    if numbers["end_time"] != arrays["time"][-1]:
-        refuse_changed(place, "attribute end_time, which is not the last time")
-    if texts["outcome"] not in get_args(Outcome):
-        raise ResultError(f"{place}: expected a known outcome, got {quoted(texts['outcome'])}")
     try:
         scenario = Scenario.from_yaml(texts["scenario"])
     except ScenarioError as error:
         raise ResultError(f"{place}: its scenario: {line_of(error)}") from None
-    if arrays["depth"].shape[1] != scenario.target.count:
-        refuse_changed(place, "variable depth, which has another number of points than the scenario")
+    if problem := problem_of_run(arrays, scenario.target.count, numbers["end_time"], texts["outcome"]):
+        refuse_changed(place, problem)
     return Result(
         scenario=scenario,
         controller=texts["controller"],
@@ -107,21 +102,6 @@ def _result(arrays: Mapping[str, Array], attributes: Mapping[str, Any], place: s
         streamed_metrics={name: numbers[f"metric_{name}"] for name in METRICS},
         version=texts["hexservo_version"],
     )
-
-
-def _check_arrays(arrays: Mapping[str, Array], place: str) -> None:
-    """Refuse arrays that no run has: other shapes, no sample, and values as `problem_of_values` finds them."""
-    time = arrays["time"]
-    count = len(time) if time.ndim else 0
-    if count == 0:
-        refuse_changed(place, "variable time, which has no sample")
-    points = arrays["depth"].shape[-1] if arrays["depth"].ndim else 0  # as the scenario has: checked with it
-    for name, shape in _array_shapes(points, HISTORY in arrays).items():
-        expected = (count, *shape[1:]) if shape[0] < 0 else shape
-        if arrays[name].shape != expected:
-            refuse_changed(place, f"variable {name}: shape {arrays[name].shape} where {expected} is expected")
-    if problem := problem_of_values(arrays):
-        refuse_changed(place, f"variable {problem}")
 
 
 def _events(table: str, place: str, rotary: bool) -> tuple[LimitEvent, ...]:
@@ -142,13 +122,6 @@ def _events(table: str, place: str, rotary: bool) -> tuple[LimitEvent, ...]:
 
 
 # ---- Parts ----------------------------------------------------------------------------------------------------------
-
-
-def _array_shapes(points: int, with_history: bool) -> dict[str, tuple[int, ...]]:
-    """Return the arrays of a result with their shapes; -1 stands for the number of samples."""
-    widths = {name: (-1, len(labels)) for name, (_, labels, _, _) in quantities(points).items()}
-    history: dict[str, tuple[int, ...]] = {HISTORY: (-1, 6, 7, 7)} if with_history else {}
-    return {"time": (-1,), **widths, "fuzzy_weights": (6, 7, 7), **history}
 
 
 def _plain(value: Any) -> Any:

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from hexservo.run.files import check_file, write_file
-from hexservo.run.metrics import metrics
+from hexservo.run.metrics import METRICS, metrics
+from hexservo.run.quantities import array_shapes, problem_of_run
 from hexservo.run.sealed import FORMAT, is_sealed, sealed_bytes
-from hexservo.scenario.arrays import Array
 
 if TYPE_CHECKING:
     from hexservo.run.result import LimitEvent, Result
 
-HISTORY = "weight_history"  # the only array that a result may lack
 EVENT_HEAD = "kind leg time peak limit"  # of the table of events; seconds, and the unit of the kind
 
 
@@ -30,7 +26,7 @@ def saved_attributes(result: Result) -> dict[str, Any]:
         "hexservo_version": result.version,
         "event_table": _event_table(result.events),
     }
-    return {"format": FORMAT, **texts, "end_time": result.end_time, **_prefixed(metrics(result))}
+    return {"format": FORMAT, **texts, **_numbers(result)}
 
 
 def result_bytes(result: Result) -> memoryview:
@@ -39,38 +35,28 @@ def result_bytes(result: Result) -> memoryview:
     Raises
     ------
     ValueError
-        For arrays that no run has, which `load_result` refuses.
+        As `require_run`.
     """
-    require_arrays(result)
+    require_run(result)
     return sealed_bytes(result.to_xarray())
 
 
-def require_arrays(result: Result) -> None:
-    """Refuse a result in whose arrays someone wrote what no run has.
+def require_run(result: Result) -> None:
+    """Refuse a result in which someone wrote what no run has: `load_result` would refuse its file.
 
     Raises
     ------
     ValueError
-        "result: expected the arrays of a run, got twist, which has numbers that are not finite; ...".
+        "result: expected the data of a run, got twist, which has numbers that are not finite; ...".
     """
-    arrays = {name: value for name, value in vars(result).items() if isinstance(value, np.ndarray)}
-    if problem := problem_of_values(arrays):
-        raise ValueError(f"result: expected the arrays of a run, got {problem}; use what hs.simulate returned")
-
-
-def problem_of_values(arrays: Mapping[Any, Array]) -> str | None:
-    """Describe what no run has in its arrays: numbers that are not finite, decreasing times and the like."""
-    for name, values in arrays.items():
-        if not np.isfinite(values).all():
-            return f"{name}, which has numbers that are not finite"
-    time = arrays["time"]
-    if time[0] != 0 or not (np.diff(time) > 0).all():
-        return "time, which does not increase from 0"
-    if not np.allclose(np.linalg.norm(arrays["quaternion"], axis=1), 1.0, rtol=0, atol=1e-9):
-        return "quaternion, which is not of length 1"
-    if not (arrays["depth"] < 0).all():
-        return "depth, which is not negative"
-    return None
+    points = result.scenario.target.count
+    names = array_shapes(points, result.weight_history is not None)
+    arrays = {name: getattr(result, name) for name in names}
+    problem = problem_of_run(arrays, points, result.end_time, result.outcome)
+    if problem is None and (missing := [name for name in METRICS if name not in metrics(result)]):
+        problem = f"streamed_metrics, which lacks {missing[0]}"
+    if problem:
+        raise ValueError(f"result: expected the data of a run, got {problem}; use what hs.simulate returned")
 
 
 def save_result(result: Result, path: str | os.PathLike[str], *, force: bool = False) -> None:
@@ -90,7 +76,7 @@ def save_result(result: Result, path: str | os.PathLike[str], *, force: bool = F
     OutputError
         The file exists, is no saved result or was changed, or cannot be written.
     ValueError
-        For arrays that no run has, as `result_bytes`.
+        As `require_run`.
     """
     check_saved(path, force=force)  # before the work
     write_file(result_bytes(result), path, is_sealed, "hexservo", force=force)
@@ -112,5 +98,6 @@ def _event_table(events: tuple[LimitEvent, ...]) -> str:
     return "\n".join([EVENT_HEAD, *rows])
 
 
-def _prefixed(metrics: Mapping[str, float]) -> dict[str, float]:
-    return {f"metric_{name}": value for name, value in metrics.items()}
+def _numbers(result: Result) -> dict[str, float]:
+    found = {"end_time": result.end_time, **{f"metric_{name}": value for name, value in metrics(result).items()}}
+    return {name: float(value) for name, value in found.items()}  # also of a whole number, which a file keeps as one

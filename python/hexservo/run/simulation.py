@@ -9,7 +9,8 @@ import numpy as np
 from hexservo import _core
 from hexservo.run.custom_controller import OwnController, function_name, run_with
 from hexservo.run.metrics import METRICS
-from hexservo.run.result import LimitEvent, LimitKind, Outcome, Result, quantities
+from hexservo.run.quantities import Outcome, quantities
+from hexservo.run.result import LimitEvent, LimitKind, Result
 from hexservo.run.variant import chosen_kernel
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario, require_scenario
@@ -30,8 +31,9 @@ def simulate(scenario: Scenario, *, controller: OwnController | None = None, log
     controller
         A function to be called at every servo tick in place of the scenario's law, in sampled mode alone. It takes an
         `Observation` and gives a wrench in B about E's origin, (6,) [N; N m], or `LegForces`. Until every point has
-        been seen once, what acts is the wrench that holds the platform, whatever it gives. Python sets the pace: a few
-        hundred thousand ticks a second at the very most.
+        been seen once, what acts is the wrench that holds the platform, whatever it gives. `Controller.step` takes the
+        observation's `pixels`, not its `features`. Python sets the pace: a few hundred thousand ticks a second at the
+        very most.
     log_weights
         Whether `Result.weight_history` holds the weights of the fuzzy systems at every logged sample, (n, 6, 7, 7)
         [N, N m]: 2.4 kB each, within the limit that a log has. It stays None where no fuzzy systems act: for other
@@ -45,7 +47,8 @@ def simulate(scenario: Scenario, *, controller: OwnController | None = None, log
     ValueError
         For a scenario that the core refuses (a `Scenario` is checked when it is made, so this is rare); where the log
         would not fit because of the weights; for a controller in continuous mode; for a command of another shape or
-        with numbers that are not finite, with its tick. What the controller itself raises goes through as it is.
+        with numbers that are not finite, or leg forces whose wrench is not, with its tick. What the controller itself
+        raises goes through as it is.
     VariantError
         Where the environment variable HEXSERVO_VARIANT asks for a compiled variant that is not there.
     """

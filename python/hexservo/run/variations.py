@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hexservo.scenario.arrays import Array
+from hexservo.scenario.arrays import Array, holds_no_number
 from hexservo.scenario.blocks import SIDES, Blocks, circle_keys
 from hexservo.scenario.fitted import (
     acts_on_gains,
@@ -148,6 +148,9 @@ def _array(key: str, rule: NumericKey, given: ArrayLike) -> NDArray[Any]:
     if np.ma.is_masked(given):
         scenario, entry = _named(tuple(np.argwhere(np.ma.getmaskarray(np.ma.asarray(given)))[0]))
         raise ValueError(f"{scenario}{key}{entry}: expected {rule.expected}, got a masked value")
+    unlisted = f"{key}: expected an array of numbers of shape {_shapes(rule)}, n scenarios, got {_kind(given)}"
+    if holds_no_number(given):
+        raise ValueError(unlisted)
     if rule.whole and not isinstance(given, np.ndarray):
         for index, item in enumerate(np.asarray(given, dtype=object).flat):
             if isinstance(item, int) and abs(item) >= 2**64:  # numpy has no number for it
@@ -159,8 +162,7 @@ def _array(key: str, rule: NumericKey, given: ArrayLike) -> NDArray[Any]:
         if values.dtype.kind not in "iuf":
             raise ValueError
     except ValueError:  # ragged, or no numbers
-        expected = f"expected an array of numbers of shape {_shapes(rule)}, n scenarios"
-        raise ValueError(f"{key}: {expected}, got {_kind(given)}") from None
+        raise ValueError(unlisted) from None
     if values.ndim == 0 or values.shape[1:] not in rule.shapes or len(values) == 0:
         raise ValueError(f"{key}: expected shape {_shapes(rule)}, n scenarios, got {values.shape}")
     allowed = rule.within(values)

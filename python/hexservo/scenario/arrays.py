@@ -19,7 +19,7 @@ def real_numbers(given: Any) -> Array | None:
     None for text, booleans, complex, ragged and masked ones: NumPy itself takes the text "1" and True for 1, the real
     part of a complex number, and what is under a mask.
     """
-    if np.ma.is_masked(given) or _holds_boolean(given):
+    if holds_no_number(given):
         return None
     try:
         found = np.asarray(given)
@@ -30,10 +30,12 @@ def real_numbers(given: Any) -> Array | None:
         return None
 
 
-def _holds_boolean(given: Any) -> bool:
-    """Return whether lists hold one among numbers, which NumPy would make 0 or 1."""
+def holds_no_number(given: Any) -> bool:
+    """Return whether lists hold, or this is, a boolean or a masked value: NumPy would make 0, 1 or NaN of it."""
     if isinstance(given, list | tuple):
-        return any(_holds_boolean(item) for item in given)
+        return any(holds_no_number(item) for item in given)
+    if isinstance(given, np.ndarray):
+        return given.dtype.kind == "b" or bool(np.ma.is_masked(given))
     return isinstance(given, bool | np.bool_)
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.keys import value_at
-from hexservo.scenario.parameters import core_parameters
+from hexservo.scenario.parameters import Settings, core_parameters
 from hexservo.scenario.rotations import quaternion_of, quaternion_product, unit_rotation_vectors
 
 if TYPE_CHECKING:
@@ -67,6 +68,17 @@ def to_pixels(scenario: Blocks, features: Any) -> Array:
         return numbers
     found = core_parameters(scenario).camera.pixels(numbers.reshape(-1, 2))
     return np.asarray(found).reshape(numbers.shape)
+
+
+def assumed_pixels(scenario: Blocks, settings: Settings) -> Callable[[Array], Array]:
+    """Return a function from features (2p,) of the pinhole that the controller assumes to pixels of its camera [px].
+
+    The tick brings these pixels back to the features, within 1e-9 px. `settings` are those of the scenario.
+    """
+    if not has_pixels(scenario.camera) and not has_camera_wrong(scenario):
+        return np.copy
+    camera = settings.assumed_camera
+    return lambda features: np.asarray(camera.pixels(features.reshape(-1, 2))).ravel()
 
 
 def pixel_slopes(scenario: Blocks, features: Any) -> Array:

@@ -18,6 +18,10 @@ SCENARIO_OF_RUN, RESULT_OF_RUN = "scenario.yaml", "result.nc"
 """Files in a folder of ``hexservo run --out`` that are read again."""
 
 
+EMPTY_PATH = "expected a path, got an empty one"
+"""Of an empty text in place of a path, which `Path` takes for the current folder."""
+
+
 def path_text(name: str, path: object) -> str:
     """Return a path that was given as an argument as text; bytes are decoded as the system does.
 
@@ -49,9 +53,11 @@ def open_regular(path: str | os.PathLike[str], in_folder: Sequence[str] = ()) ->
     OSError
         As `open`.
     ValueError
-        The path stands for a folder, a pipe, a device or a socket, or holds a null character.
+        The path is empty, stands for a folder, a pipe, a device or a socket, or holds a null character.
     """
     place = path_text("path", path)
+    if not place:
+        raise ValueError(EMPTY_PATH)
     # before it is opened, which some devices take for a command
     _refuse_special(Path(place).stat().st_mode, place, in_folder)
     with os.fdopen(os.open(place, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY), "rb") as file:

@@ -74,7 +74,7 @@ class ScenarioError(ValueError):
 
     def __str__(self) -> str:
         """Return the problems, one a line, each after its source."""
-        head = "" if self.source is None else f"{_printable(self.source)}: "
+        head = f"{_printable(self.source)}: " if self.source else ""
         return "\n".join(head + problem for problem in self.problems)
 
 

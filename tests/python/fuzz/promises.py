@@ -8,7 +8,7 @@ from typing import get_args
 import numpy as np
 
 import hexservo as hs
-from hexservo.run.result import Outcome
+from hexservo.run.quantities import Outcome
 from widths import WIDTHS
 
 __all__ = ["check"]

@@ -13,7 +13,7 @@ from hexservo.findings.diagnosis.ranking import Trial, judged, make_cases, pairs
 from hexservo.findings.diagnosis.runs import Run, record_of, run_all
 from hexservo.findings.diagnosis.words import criteria_met, how, misses, warnings_of
 from hexservo.run.result import Result, require_result
-from hexservo.run.saving import require_arrays
+from hexservo.run.saving import require_run
 
 __all__ = ["Diagnosis", "Finding", "Remedy", "diagnose"]
 
@@ -43,10 +43,10 @@ def diagnose(result: Result) -> Diagnosis:
     TypeError
         For anything but a `Result`.
     ValueError
-        An array has numbers that no run has, such as NaN.
+        Where the data are not those of a run (see `Result.save`).
     """
     require_result(result)
-    require_arrays(result)
+    require_run(result)
     if result.outcome == "interrupted":
         return Diagnosis(result, None, ())
     record = record_of(result)

@@ -16,7 +16,7 @@ import numpy as np
 from hexservo.findings.identification.mcap_log import period_of, read_mcap
 from hexservo.scenario.arrays import Array, real_numbers
 from hexservo.scenario.fields import described
-from hexservo.scenario.reading import path_text
+from hexservo.scenario.reading import EMPTY_PATH, path_text
 from hexservo.scenario.wording import wrong_type
 from hexservo.scenario.yaml import ScenarioError
 
@@ -241,6 +241,8 @@ def read_log(path: str | os.PathLike[str]) -> Log:
     """
     source = path_text("path", path)
     try:
+        if not source:
+            raise ValueError(EMPTY_PATH)
         if not stat.S_ISREG(Path(source).stat().st_mode) or Path(source).stat().st_size > MAX_BYTES:
             raise ScenarioError(f"cannot be read: expected a regular file of at most {MAX_BYTES} bytes", source)
         if source.lower().endswith(".mcap"):
