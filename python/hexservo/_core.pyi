@@ -17,6 +17,7 @@ MOTOR_STEPS: int
 FEEDBACK_EASE: float
 LONGEST_FRAME_GAP: float
 MAX_ACTUATOR_DELAY: int
+OFF_THE_LINE: float
 LINEAR_RULE_TABLE: tuple[tuple[float, ...], ...]
 
 class BatchLog(enum.Enum):

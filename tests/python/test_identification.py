@@ -75,8 +75,8 @@ def test_the_core_s_drive_keeps_its_limits_to_second_order() -> None:
     np.testing.assert_allclose(found, drive.follow(commands, 0.01), atol=1e-5)  # 0.1 % of a step's motion
     assert np.abs(np.diff(found)).max() <= 0.05 * 0.01 * (1 + 1e-9)
     for rate in (0.075, 5.0):  # faster than the drive: it starts at its limit
-        started = [_core.drive_response(commands, 0.0, each, 0.02, 6.0, 0.7, 0.05, 1.0) for each in (rate, 0.05)]
-        np.testing.assert_array_equal(*started)
+        started, limit = (_core.drive_response(commands, 0.0, each, 0.02, 6.0, 0.7, 0.05, 1.0) for each in (rate, 0.05))
+        np.testing.assert_array_equal(started, limit)
 
 
 def random_logs(

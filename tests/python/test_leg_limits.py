@@ -176,6 +176,7 @@ def test_legs_at_their_drives_own_limit_are_not_beyond_it() -> None:
     """A machine whose drives have the limit that is reported: rounding is no event."""
     machine = hs.load_scenario("pi-h824-positions")
     most = machine.actuators.position.speed_limit
+    assert most is not None
     run = hs.simulate(machine.updated({"robot.speed_limit": most, "robot.on_limit": "stop"}))
     assert run.outcome == "completed"
     assert not [event for event in run.events if event.kind == "speed"]
