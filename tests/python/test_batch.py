@@ -53,7 +53,7 @@ SAMPLED_ROWS: dict[str, list[Any]] = {  # the first is what `sampled` has
     "camera.period": [0.005, 0.004, 0.002],
     "camera.latency": [0.003, 0.002, 0.0],
     "camera.latency_jitter": [0.002, 0.001, 0.0],
-    "camera.timeout": [0.011, 0.05, 0.02],
+    "camera.timeout": [0.015, 0.05, 0.02],
     "camera.noise": [0.1, 0.2, 0.0],
     "camera.quantisation": [0.01, 0.5, 0.0],
     "camera.dropout": [0.2, 0.5, 0.0],

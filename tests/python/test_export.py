@@ -503,7 +503,7 @@ def test_places_where_no_header_can_be(paper: hs.Scenario, tmp_path: Path) -> No
         with pytest.raises(OutputError, match=words) as caught:
             write_file(text, tmp_path / name, TITLE, "hexservo export", force=True)
         assert len(str(caught.value).splitlines()) == 1
-    with pytest.raises(OutputError, match="expected the name of a file"):
+    with pytest.raises(OutputError, match="expected a path, got an empty one"):
         write_file(text, "", TITLE, "hexservo export")
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         "dangling.hpp",

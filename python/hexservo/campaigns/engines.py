@@ -135,7 +135,7 @@ def compute_remotely(
     OutputError
         The shared folder is not that of the campaign, or cannot be written.
     """
-    store = _store_of(plan, campaign, variant, shared or "")
+    store = _store_of(plan, campaign, variant, shared or os.curdir)  # where nothing is shared, of no folder's use
     if shared is not None:
         store.require_own_folder()
     content, tally = compute_chunk(store, index, threads or _threads_of_worker())

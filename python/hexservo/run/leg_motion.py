@@ -50,8 +50,9 @@ def leg_motions(result: Result, rows: NDArray[np.intp] | None = None) -> tuple[L
     Returns
     -------
     tuple of LegMotion
-        Travel from the middle of the stroke and speed with signs, as `abs(l - l_mid)` and `abs(J_q nu)` are limited;
-        tilts from home as base and platform see them, which have none.
+        Travel from the middle of the stroke and speed with signs, as `abs(l - l_mid)` and `abs(J_q nu)` are limited,
+        where the mean since the sample before is not faster; tilts from home as base and platform see them, which have
+        none.
     """
     scenario = result.scenario
     hexapod, units = _core.Hexapod(core_parameters(scenario).robot), leg_units(scenario.robot)
@@ -62,8 +63,9 @@ def leg_motions(result: Result, rows: NDArray[np.intp] | None = None) -> tuple[L
     kinds = {limit.kind for limit in limits}
     values = {"stroke": result.leg_lengths[chosen] - hexapod.mid_lengths}
     if "speed" in kinds:
-        rates = [hexapod.wrench_map(*pose).T @ twist for pose, twist in zip(poses, twists, strict=True)]
-        values["speed"] = np.array(rates)
+        rates = np.array([hexapod.wrench_map(*pose).T @ twist for pose, twist in zip(poses, twists, strict=True)])
+        means = _mean_rates(result)[chosen]
+        values["speed"] = np.where(np.abs(means) > np.abs(rates), means, rates)
     if "base_joint" in kinds:
         tilts = np.array([hexapod.leg_tilts(*pose) for pose in poses]).reshape(-1, 2, 6)
         values |= {"base_joint": tilts[:, 0], "platform_joint": tilts[:, 1]}
@@ -82,6 +84,13 @@ def leg_motions(result: Result, rows: NDArray[np.intp] | None = None) -> tuple[L
         )
         for limit in limits
     )
+
+
+def _mean_rates(result: Result) -> Array:
+    """Return the mean rates of the legs since the sample before, (n, 6), 0 at the first."""
+    means = np.zeros_like(result.leg_lengths)
+    means[1:] = np.diff(result.leg_lengths, axis=0) / np.diff(result.time)[:, None]
+    return means
 
 
 def singular_passage(result: Result) -> float | None:
