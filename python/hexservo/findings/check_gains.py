@@ -137,7 +137,7 @@ def _of_noise(scenario: Scenario, law: str) -> Iterator[str]:
     share = share_of_restarts(scenario, law)
     if share * SELDOM < 1.0:
         return
-    as_assumed = share_of_restarts(scenario.updated({f"{law}.noise": true}), law)
+    as_assumed = share_of_restarts(scenario, law, true)
     if as_assumed * SELDOM < 1.0:
         value, written = apart(assumed, true)
         yield (
@@ -156,7 +156,7 @@ def _how_often(share: float) -> str:
     return f"up to once in {below(1.0 / share, 2)} frames" if share < 0.5 else "at nearly every frame"
 
 
-def share_of_restarts(scenario: Scenario, law: str) -> float:
+def share_of_restarts(scenario: Scenario, law: str, assumed: float | None = None) -> float:
     """Return in which share of the frames, at most, the camera's noise restarts the estimate of the target.
 
     As if what the filter expects were certain: its own variance makes restarts more seldom.
@@ -167,10 +167,14 @@ def share_of_restarts(scenario: Scenario, law: str) -> float:
         Whose law estimates the target's pose.
     law
         Block of its gains.
+    assumed
+        Noise that the law would assume [px]; None: that of the block.
     """
     from scipy.stats import chi2  # here, since a check of most scenarios does without the import
 
-    true, assumed = feature_noise(scenario.camera), value_at(scenario, f"{law}.noise")
+    true = feature_noise(scenario.camera)
+    if assumed is None:
+        assumed = value_at(scenario, f"{law}.noise")
     if scenario.simulation.mode != SAMPLED_MODE or true == 0.0:
         return 0.0
     numbers = 3 if value_at(scenario, f"{law}.follow") == "direction" else 6

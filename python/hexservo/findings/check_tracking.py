@@ -78,8 +78,7 @@ def _of_motion(scene: Scene, gains: Tracking) -> Iterator[str]:
         f"and the velocity of the law's filter counts from about {quantity(counts, 'm/s')} on, where it is "
         f"certainty ({number(gains.certainty)}) times what noise of {number(gains.noise)} px leaves in it, and while "
         f"the platform follows from up to three times that on: until then {until}; set controller.tracking.noise to "
-        "that of the features, or certainty to 0, with which every velocity "
-        "counts"
+        "that of the features, or certainty to 0, with which every velocity counts"
     )
 
 

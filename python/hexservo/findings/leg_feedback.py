@@ -10,6 +10,7 @@ import numpy as np
 
 from hexservo import _core
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.parameters import reading_ticks
 from hexservo.scenario.scenario import Scenario, require_scenario
 
 OF_MARGIN = 0.5
@@ -145,9 +146,7 @@ def _leg(scenario: Scenario) -> _Leg:
     held = np.asarray(expm(system))[:2] - np.eye(3)[:2]
     apart = math.sqrt(max(damping**2 - 1.0, 0.0))
     lag = _core.FEEDBACK_EASE * 2.0 * apart / w  # a share of what the slow time constant of the leg is longer
-    sensors = scenario.sensors
-    readings = round(sensors.period / period) if sensors.pose == "encoders" and sensors.period else 1
-    delay = max(round(actuators.delay / period), 1) + readings - 1
+    delay = max(round(actuators.delay / period), 1) + reading_ticks(scenario) - 1
     rates = [w / (damping + apart), 1.0 / ((delay + 1) * period), *([1.0 / lag] if lag > 0.0 else [])]
     return _Leg(held, delay, -math.expm1(-period / lag) if lag > 0.0 else 1.0, min(rates) * period)
 

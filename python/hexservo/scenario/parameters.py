@@ -99,6 +99,14 @@ def frame_period(scenario: Blocks) -> float:
     return scenario.simulation.step if scenario.camera.period is None else scenario.camera.period
 
 
+def reading_ticks(scenario: Blocks) -> int:
+    """Return the servo periods from one reading of the joints to the next."""
+    sensors = scenario.sensors
+    if sensors.pose != "encoders" or sensors.period is None:
+        return 1
+    return max(1, round(sensors.period / scenario.simulation.step))
+
+
 def image_age(scenario: Blocks) -> float:
     """Return the mean time from an exposure to the ticks at which its image is used [s]: 0 in continuous mode."""
     if scenario.simulation.mode != SAMPLED_MODE:

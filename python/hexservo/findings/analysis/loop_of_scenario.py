@@ -23,7 +23,7 @@ from hexservo.run.simulation import simulate, uninterrupted
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.fitted import gains_written
 from hexservo.scenario.keys import value_at
-from hexservo.scenario.parameters import frame_period
+from hexservo.scenario.parameters import frame_period, reading_ticks
 from hexservo.scenario.pixels import on_pinhole
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.yaml import ScenarioError
@@ -193,8 +193,7 @@ def loop_with_weights(at_rest: LoopAtRest, weights: Array, *, smooth: bool) -> S
 
 def _loop(scenario: Scenario, law: LinearLaw, plant: LinearPlant) -> SampledLoop:
     tick, sensors = scenario.simulation.step, scenario.sensors
-    encoders = sensors.pose == "encoders"
-    reading = 1 if not encoders or sensors.period is None else max(1, round(sensors.period / tick))
+    encoders, reading = sensors.pose == "encoders", reading_ticks(scenario)
     return SampledLoop(
         tick=tick,
         acceleration=plant.acceleration,
