@@ -36,8 +36,8 @@ def test_legs_that_hardly_move_are_checked() -> None:
     assert not [words for words in unlikely(slow) if words.startswith("controller.tracking.feedback")]
 
 
-def decay(scenario: hs.Scenario, *, feedback: float, integral: float) -> float:
-    """Return the largest eigenvalue of a tick of one leg, its delayed commands, b and o: by magnitude."""
+def decay(scenario: hs.Scenario, *, feedback: float, integral: float, reading: int = 1) -> float:
+    """Return the largest eigenvalue from reading to reading of one leg, its delayed commands, b and o: by magnitude."""
     drive, delay = scenario.actuators.position, round(scenario.actuators.delay / TICK)
     w = 2.0 * np.pi * drive.bandwidth
     move, push, *_ = cont2discrete(
@@ -46,25 +46,58 @@ def decay(scenario: hs.Scenario, *, feedback: float, integral: float) -> float:
     slower = 2.0 * np.sqrt(max(drive.damping**2 - 1.0, 0.0)) / w
     ease = 1.0 - np.exp(-TICK / (0.5 * slower)) if slower else 1.0
 
-    def tick(state: NDArray[np.float64]) -> NDArray[np.float64]:
+    def after_reading(state: NDArray[np.float64]) -> NDArray[np.float64]:
         leg, late, behind, offset = state[:2], state[2:-2], state[-2], state[-1]
-        behind = behind + ease * (-feedback * leg[0] - behind)
-        offset = offset - integral * TICK * leg[0]
-        return np.concatenate((move @ leg + push[:, 0] * late[-1], [behind + offset], late[:-1], [behind, offset]))
+        read = leg[0]
+        behind = behind + ease * (-feedback * read - behind)
+        for _ in range(reading):
+            offset = offset - integral * TICK * read
+            leg, late = move @ leg + push[:, 0] * late[-1], np.concatenate(([behind + offset], late[:-1]))
+        return np.concatenate((leg, late, [behind, offset]))
 
-    return float(np.abs(np.linalg.eigvals(np.array([tick(unit) for unit in np.eye(delay + 4)]).T)).max())
+    states = delay + (4 if integral else 3)  # an offset that does not move is no part of the loop
+    unit = np.eye(delay + 4)[:states]
+    return float(np.abs(np.linalg.eigvals(np.array([after_reading(each)[:states] for each in unit]).T)).max())
 
 
-@pytest.mark.parametrize("feedback", [0.0, 0.5])
-@pytest.mark.parametrize(("bandwidth", "damping", "delay"), [(9.7, 1.1, 1), (23.0, 1.88, 3), (3.0, 0.4, 2)])
-def test_the_margin_of_the_integral_is_where_a_pole_leaves_the_unit_circle(
-    bandwidth: float, damping: float, delay: int, feedback: float
+LEGS = pytest.mark.parametrize(("bandwidth", "damping", "delay"), [(9.7, 1.1, 1), (23.0, 1.88, 3), (3.0, 0.4, 2)])
+READINGS = pytest.mark.parametrize("reading", [1, 2, 5, 12])
+
+
+def read_legs(bandwidth: float, damping: float, delay: int, reading: int) -> hs.Scenario:
+    return head(0.0).updated(
+        {
+            "actuators.delay": delay * TICK,
+            "actuators.position": {"bandwidth": bandwidth, "damping": damping},
+            "sensors": {"pose": "encoders", "period": reading * TICK},
+        }
+    )
+
+
+@READINGS
+@LEGS
+def test_the_margin_of_the_feedback_is_where_a_pole_leaves_the_unit_circle(
+    bandwidth: float, damping: float, delay: int, reading: int
 ) -> None:
-    legs = {"actuators.delay": delay * TICK, "actuators.position": {"bandwidth": bandwidth, "damping": damping}}
-    scenario = head(0.0, gains={"feedback": feedback}).updated(legs)
+    margin = hs.feedback_margin(read_legs(bandwidth, damping, delay, reading))
+    for share, stable in ((0.1, True), (0.5, True), (0.999, True), (1.001, False)):
+        found = decay(
+            read_legs(bandwidth, damping, delay, reading), feedback=share * margin, integral=0.0, reading=reading
+        )
+        assert (found < 1.0) == stable, (margin, share)
+
+
+@READINGS
+@pytest.mark.parametrize("feedback", [0.0, 0.5])
+@LEGS
+def test_the_margin_of_the_integral_is_where_a_pole_leaves_the_unit_circle(
+    bandwidth: float, damping: float, delay: int, feedback: float, reading: int
+) -> None:
+    scenario = read_legs(bandwidth, damping, delay, reading).updated({"controller.tracking.feedback": feedback})
     margin = hs.integral_margin(scenario)
     for share, stable in ((0.1, True), (0.5, True), (0.999, True), (1.001, False)):
-        assert (decay(scenario, feedback=feedback, integral=share * margin) < 1.0) == stable, (margin, share)
+        found = decay(scenario, feedback=feedback, integral=share * margin, reading=reading)
+        assert (found < 1.0) == stable, (margin, share)
     most = hs.feedback_margin(scenario)
     assert hs.integral_margin(scenario.updated({"controller.tracking.feedback": 1.01 * most})) == 0.0
 
@@ -112,16 +145,22 @@ def test_a_band_that_is_wide_beside_the_stroke_is_noted(changes: dict[str, Any],
 
 
 @pytest.mark.parametrize(
-    "legs", [{"delay": 0.04}, {"position.bandwidth": 5.0, "position.damping": 1.2}], ids=["late", "slow"]
+    "changes",
+    [
+        {"actuators.delay": 0.04},
+        {"actuators.delay": 0.04, "sensors.period": 0.04},
+        {"actuators.position.bandwidth": 5.0, "actuators.position.damping": 1.2},
+    ],
+    ids=["late", "seldom", "slow"],
 )
-def test_the_whole_law_oscillates_below_the_margin_of_one_leg(legs: dict[str, float]) -> None:
+def test_the_whole_law_oscillates_below_the_margin_of_one_leg(changes: dict[str, float]) -> None:
     """Exact drives and readings, and a target at rest: 0.7 of the margin settles, and 0.8 of it does not."""
     motors = hs.load_scenario("reachy-mini-motors")
     scenario = motors.updated(
         {
             "actuators.kind": "position",
             "actuators.motor": {"kp": 1000.0, "kv": 10.0, "damping": 0.0, "friction": 0.0, "armature": 0.0},
-            **{f"actuators.{key}": value for key, value in legs.items()},
+            **changes,
             "camera.noise": 0.0,
             "camera.latency_jitter": 0.0,
             "sensors.resolution": 0.0,

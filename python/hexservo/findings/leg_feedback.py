@@ -16,7 +16,7 @@ from hexservo.scenario.scenario import Scenario, require_scenario
 OF_MARGIN = 0.5
 """Share of its gain margin that a feedback or an integral may have: 6 dB are left."""
 
-# Angles up to that of half the servo rate, between which a crossing of the real axis is looked for: as many evenly, and
+# Angles up to that of half the rate of readings, between which a crossing of the real axis is looked for: as many evenly, and
 # evenly in the logarithm from a share of the slowest rate in the loop on, below which there is none.
 _GRID = 4096
 _SLOW = 0.01
@@ -28,8 +28,8 @@ def feedback_margin(scenario: Scenario) -> float:
     The loop is one leg with the response of `actuators.position`, commanded by minus the gain times its reading, with
     the law's lag for legs of one slow pole (docs/model.md, section 5), held for a servo period and late by
     `actuators.delay`, but by one period at least: what reads and commands once per period acts in the next one, and an
-    identification may have taken that for a part of the leg's lag. Readings every so many periods
-    (`sensors.period`) are up to one less of them old, which counts as delay: the margin is then approximate.
+    identification may have taken that for a part of the leg's lag. Where joints are read every m periods only
+    (`sensors.period`), the feedback moves on with each reading, and its command is held for m periods.
 
     The reference and the estimate of the target are not in that loop, nor are limits of speed and acceleration: the
     whole law oscillates from about 0.75 of the margin on. Half of it (6 dB) leaves room for that, and for what the
@@ -45,7 +45,8 @@ def feedback_margin(scenario: Scenario) -> float:
     float
         Gain k [1], the smallest positive one with ``1 + k F(z) z^-n G(z) = 0`` for a z on the unit circle; F is
         the law's lag, G the leg with a zero-order hold (Franklin, Powell, Workman: Digital Control of Dynamic
-        Systems, 3rd ed., section 4.3).
+        Systems, 3rd ed., section 4.3). With m > 1 z counts readings, and ``z^-n G`` is the mean of its m aliases with
+        the hold over m periods (Vaidyanathan: Multirate Systems and Filter Banks, section 4.1).
 
     Raises
     ------
@@ -102,34 +103,48 @@ def integral_margin(scenario: Scenario) -> float:
     if feedback > 0.0 and feedback >= _least_gain(leg.feedback, leg.slowest):
         return 0.0
 
+    def offset(angles: Array) -> Array:
+        return np.asarray(period * np.exp(1j * angles) / np.expm1(1j * angles) * leg.response(angles))
+
     def loop(angles: Array) -> Array:
-        rise = period * np.exp(1j * angles) / np.expm1(1j * angles)
-        return np.asarray(rise * leg.response(angles) / (1.0 + feedback * leg.feedback(angles)))
+        return np.asarray(leg.read(offset, angles) / (1.0 + feedback * leg.feedback(angles)))
 
     return _least_gain(loop, leg.slowest)
 
 
 @dataclass(frozen=True)
 class _Leg:
-    """One leg as the law sees it, sampled once per servo period; frequencies are angles per period [rad]."""
+    """One leg as the law sees it, sampled once per servo period, and read once per `reading` of them."""
 
     held: Array  # (2, 3) of position and its rate over w: after a period, and from the command that is held for it
     delay: int  # [periods]
-    ease: float  # share of its way that the feedback moves in a period
-    slowest: float  # of the rates in the loop [1/period]
+    reading: int  # from one reading to the next [periods]
+    ease: float  # share of its way that the feedback moves with a reading
+    slowest: float  # of the rates in the loop [1/reading]
 
     def response(self, angles: Array) -> Array:
-        """Return z^-n G(z), (n,) at ``z = exp(i angle)``."""
+        """Return z^-n G(z), (n,) at ``z = exp(i angle)``, in angles per period [rad]."""
         # Z is z - 1, and the diagonal of the matrix has 1 taken off: both are exact for legs far slower than the servo.
         ahead, z = np.expm1(1j * angles), np.exp(1j * angles)
         (own, coupling, pushed), (back, rate, sped) = self.held
         determinant = (ahead - own) * (ahead - rate) - coupling * back
         return np.asarray(((ahead - rate) * pushed + coupling * sped) / determinant * z**-self.delay)
 
+    def read(self, response: Callable[[Array], Array], angles: Array) -> Array:
+        """Return what a response per period is from reading to reading, (n,), in angles per reading [rad].
+
+        A reading is held for its periods, and of those of the response one is read: the mean of the aliases.
+        """
+        total = np.zeros(len(angles), dtype=complex)
+        for alias in range(self.reading):
+            each = (angles + 2.0 * np.pi * alias) / self.reading
+            total += response(each) * np.expm1(-1j * angles) / np.expm1(-1j * each)
+        return total / self.reading
+
     def feedback(self, angles: Array) -> Array:
-        """Return the loop of the feedback for a gain of 1, (n,) at ``z = exp(i angle)``."""
+        """Return the loop of the feedback for a gain of 1, (n,), in angles per reading [rad]."""
         ahead = np.expm1(1j * angles)
-        return np.asarray(self.ease * (1.0 + ahead) / (ahead + self.ease) * self.response(angles))
+        return np.asarray(self.ease * (1.0 + ahead) / (ahead + self.ease) * self.read(self.response, angles))
 
 
 def _leg(scenario: Scenario) -> _Leg:
@@ -146,9 +161,10 @@ def _leg(scenario: Scenario) -> _Leg:
     held = np.asarray(expm(system))[:2] - np.eye(3)[:2]
     apart = math.sqrt(max(damping**2 - 1.0, 0.0))
     lag = _core.FEEDBACK_EASE * 2.0 * apart / w  # a share of what the slow time constant of the leg is longer
-    delay = max(round(actuators.delay / period), 1) + reading_ticks(scenario) - 1
-    rates = [w / (damping + apart), 1.0 / ((delay + 1) * period), *([1.0 / lag] if lag > 0.0 else [])]
-    return _Leg(held, delay, -math.expm1(-period / lag) if lag > 0.0 else 1.0, min(rates) * period)
+    delay, reading = max(round(actuators.delay / period), 1), reading_ticks(scenario)
+    rates = [w / (damping + apart), 1.0 / ((delay + reading) * period), *([1.0 / lag] if lag > 0.0 else [])]
+    ease = -math.expm1(-period / lag) if lag > 0.0 else 1.0
+    return _Leg(held, delay, reading, ease, min(rates) * reading * period)
 
 
 def _least_gain(loop: Callable[[Array], Array], slowest: float) -> float:
@@ -159,7 +175,7 @@ def _least_gain(loop: Callable[[Array], Array], slowest: float) -> float:
     loop
         Loop for a gain of 1: angles (n,) to its values (n,) at ``z = exp(i angle)``.
     slowest
-        Of the rates in it [1/period].
+        Of the rates in it [1/reading].
     """
     from scipy.optimize import brentq
 
