@@ -308,6 +308,21 @@ def test_the_fastest_rate_of_pbvs_on_legs_that_take_positions_is_its_stiffness_o
     only(stiff, "simulation.step: a servo period of 1 ms is coarser")
 
 
+@pytest.mark.parametrize("name", ["eye-to-hand", "noisy-camera"])
+def test_joints_that_are_read_too_seldom_to_damp_the_loop_are_noted(name: str) -> None:
+    """Without the sentence the run is that of readings at every tick; three times as far apart they end it."""
+    scenario = hs.load_scenario(name)
+    longest = 1e-3 * int(100.0 / fastest_rate(scene_of(scenario)))  # a tenth of the time constant, in whole ticks
+    settled = float(hs.metrics(hs.simulate(scenario))["settling_time"])
+    for period, noted in ((longest, False), (3.0 * longest, True)):
+        seldom = scenario.updated({"sensors": {"pose": "encoders", "period": period}})
+        assert any(words.startswith("sensors.period: one reading") for words in unlikely(seldom)) == noted
+        found = hs.metrics(hs.simulate(seldom))["settling_time"]
+        assert np.isnan(found) if noted else found == pytest.approx(settled, rel=0.1)
+    legs = hs.load_scenario("pi-h824-positions").updated({"controller.law": "composite", "sensors.period": 0.2})
+    assert not [words for words in unlikely(legs) if words.startswith("sensors.period: one reading")]
+
+
 def test_the_fastest_rate_is_that_of_a_damper_by_hand(paper: hs.Scenario) -> None:
     """Kelly without stiffness: the poles are k_d/m and k_d/I of the actual plant, (1 - delta_D) of the estimate."""
     damped = {"controller.law": "kelly", "controller.kelly.kp": 0.0, "controller.kelly.kd": [0.5] * 3 + [1e-9] * 3}

@@ -1,4 +1,4 @@
-"""The servo period that the poles of a loop allow."""
+"""The servo period, and the time from one reading of the joints to the next, that the poles of a loop allow."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.laws import LAWS
+from hexservo.scenario.parameters import reading_ticks
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import quantity
 
@@ -19,7 +20,9 @@ def coarsest_period(rate: float) -> float:
 
 
 def of_period(scenario: Scenario, rate: float | None) -> Iterator[str]:
-    """Yield a sentence for a servo period that is coarser than the loop's poles allow.
+    """Yield a sentence for a servo period, or one of readings, that is coarser than the loop's poles allow.
+
+    Drives that take positions move legs without readings of the joints, which damp those of forces.
 
     Parameters
     ----------
@@ -30,12 +33,17 @@ def of_period(scenario: Scenario, rate: float | None) -> Iterator[str]:
     """
     if scenario.simulation.mode != SAMPLED_MODE or rate is None or scenario.controller.law not in LAWS:
         return
-    period = scenario.simulation.step
-    if period > coarsest_period(rate) * _ROUNDING:
-        yield (
-            f"simulation.step: a servo period of {quantity(period, 's')} is coarser than a tenth of the gains' "
-            f"shortest time constant, {quantity(_shortest_time(rate), 's')}"
-        )
+    period, readings = scenario.simulation.step, reading_ticks(scenario)
+    periods = [(f"simulation.step: a servo period of {quantity(period, 's')}", period)]
+    if readings > 1 and scenario.actuators.kind == "force":
+        apart = readings * period
+        periods.append((f"sensors.period: one reading of the joints every {quantity(apart, 's')}", apart))
+    for words, time in periods:
+        if time > coarsest_period(rate) * _ROUNDING:
+            yield (
+                f"{words} is coarser than a tenth of the gains' shortest time constant, "
+                f"{quantity(_shortest_time(rate), 's')}"
+            )
 
 
 def _shortest_time(rate: float) -> float:
