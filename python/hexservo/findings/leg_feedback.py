@@ -16,8 +16,8 @@ from hexservo.scenario.scenario import Scenario, require_scenario
 OF_MARGIN = 0.5
 """Share of its gain margin that a feedback or an integral may have: 6 dB are left."""
 
-# Angles up to that of half the rate of readings, between which a crossing of the real axis is looked for: as many evenly, and
-# evenly in the logarithm from a share of the slowest rate in the loop on, below which there is none.
+# Angles up to that of half the rate of readings, between which a crossing of the real axis is looked for: as many
+# evenly, and evenly in the logarithm from a share of the slowest rate in the loop on, below which there is none.
 _GRID = 4096
 _SLOW = 0.01
 
