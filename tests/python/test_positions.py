@@ -293,10 +293,14 @@ def test_commands_stay_within_what_the_legs_can_do(law: str) -> None:
 
 @pytest.mark.parametrize(
     ("name", "law", "goal"),
-    [("reachy-mini", "resolved_rate", [0.5, 0.5, 0.5]), ("pi-h824-positions", "pbvs", [0.0, 0.3, 0.0])],
+    [
+        ("reachy-mini", "resolved_rate", [0.5, 0.5, 0.5]),
+        ("pi-h824-positions", "pbvs", [0.0, 0.3, 0.0]),
+        ("pi-h824-positions", "tracking", [0.0, 0.3, 0.0]),
+    ],
 )
-def test_a_goal_out_of_reach_leaves_the_commands_within_the_stroke(name: str, law: str, goal: list[float]) -> None:
-    """Legs slide along the ends of their stroke, where the rates of a tick move them beyond by rounding alone."""
+def test_a_goal_out_of_reach_leaves_commands_and_legs_within_the_stroke(name: str, law: str, goal: list[float]) -> None:
+    """Legs slide along the ends of their stroke, where rounding alone would take them beyond."""
     scenario = hs.load_scenario(name).updated({"controller.law": law, "simulation.duration": 2.0})
     pixels = hs.project(scenario, np.array([0.0, 0.0, 0.0, *goal]))
     scenario = scenario.updated({"target.desired_features": pixels.tolist()})
@@ -304,8 +308,10 @@ def test_a_goal_out_of_reach_leaves_the_commands_within_the_stroke(name: str, la
     ticks = _core.recorded_ticks(settings)
     middle, stroke = _core.Hexapod(settings.robot).mid_lengths, scenario.robot.stroke
     away = np.abs(ticks["leg_positions"] - middle)
-    assert away.max() <= stroke * (1 + 1e-12)
+    assert away.max() <= stroke
     assert (away.max(axis=0) >= 0.99 * stroke).any()  # one at least is at an end of its stroke
+    run = hs.simulate(scenario.updated({"robot.on_limit": "stop"}))
+    assert (run.outcome, hs.metrics(run)["peak_leg_excursion"] <= stroke) == ("completed", True)
 
 
 def test_without_an_image_the_legs_stop_and_stay() -> None:

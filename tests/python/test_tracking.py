@@ -886,11 +886,3 @@ def test_a_timeout_has_room_for_frames_that_wait_for_a_reading() -> None:
         base.updated(seldom)
     run = hs.simulate(base.updated({**seldom, "camera.timeout": age + 4 * TICK}))
     assert np.abs(run.feature_error[run.time > 3.0]).max() < 20.0
-
-
-def test_a_margin_counts_the_age_of_readings() -> None:
-    """As a delay: readings every third tick are up to two ticks old."""
-    scenario = hs.load_scenario("reachy-mini")
-    seldom = scenario.updated({"sensors.period": 3 * TICK})
-    later = scenario.updated({"actuators.delay": scenario.actuators.delay + 2 * TICK})
-    assert hs.feedback_margin(seldom) == hs.feedback_margin(later) < hs.feedback_margin(scenario)

@@ -82,12 +82,14 @@ Vector6<S> feasible_rates(const SafetyGains<S, N>& gains, Vector6<S> rates, cons
   return rates;
 }
 
-/// Commands of legs, none of which leaves its stroke, or goes further where it is commanded beyond [m].
+/// Commands of legs, none of which leaves its stroke, or goes further where it is commanded beyond [m]. They end short
+/// of it by `kStrokeTolerance`, so that a leg that rests there is not beyond it by the rounding of its length.
 /// @param held what each leg is commanded so far [m]
 template <class S>
 Vector6<S> within_stroke(const Hexapod<S>& hexapod, const Vector6<S>& held, Vector6<S> command) noexcept {
+  const S travel = S(1.0 - kStrokeTolerance) * hexapod.stroke;
   for (int i = 0; i < 6; ++i) {
-    const S low = hexapod.mid_lengths(i) - hexapod.stroke, high = hexapod.mid_lengths(i) + hexapod.stroke;
+    const S low = hexapod.mid_lengths(i) - travel, high = hexapod.mid_lengths(i) + travel;
     command(i) = clip(command(i), min(low, held(i)), max(high, held(i)));
   }
   return command;

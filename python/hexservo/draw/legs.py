@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from hexservo.draw.panels import draw_over_time
 from hexservo.draw.style import PAGE, styled
 from hexservo.run.leg_motion import leg_motions
-from hexservo.run.result import Result, require_result
-from hexservo.run.saving import require_run
+from hexservo.run.result import Result, require_run
 from hexservo.run.time_panels import leg_panel
 
 if TYPE_CHECKING:
@@ -57,7 +56,6 @@ def leg_limits(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | None = N
     ValueError
         For any other number of axes, and where the data are not those of a run (see `Result.save`).
     """
-    require_result(result)
     require_run(result)
     motions = leg_motions(result)
     shown = [replace(leg_panel(motion), title=f"{motion.title} (limit: {motion.limit.text})") for motion in motions]

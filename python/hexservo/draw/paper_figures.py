@@ -7,8 +7,7 @@ from pathlib import Path
 
 from hexservo.draw.plots import paper_images
 from hexservo.run.files import check_folder, write_folder
-from hexservo.run.result import Result, require_result
-from hexservo.run.saving import require_run
+from hexservo.run.result import Result, require_run
 
 
 def paper_figures(result: Result, folder: str | os.PathLike[str], *, force: bool = False) -> list[Path]:
@@ -40,7 +39,6 @@ def paper_figures(result: Result, folder: str | os.PathLike[str], *, force: bool
     OutputError
         The folder cannot take the files (a `ValueError`); then nothing is written.
     """
-    require_result(result)
     require_run(result)
     check_folder(folder, force=force)
     images = paper_images(result)

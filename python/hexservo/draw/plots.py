@@ -60,10 +60,9 @@ from hexservo.draw.style import (
 from hexservo.draw.wrench import control_wrench
 from hexservo.run.leg_limits import exceeded_limits, limits_of_motion
 from hexservo.run.metrics import metrics
-from hexservo.run.result import Result, require_result
+from hexservo.run.result import Result, require_run
 from hexservo.run.samples import ImageView, feature_names, fuzzy_acted, image_views, initial_direction, path_samples
 from hexservo.run.samples import parts as _parts
-from hexservo.run.saving import require_run
 from hexservo.run.time_panels import motion_panels
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import core_parameters
@@ -195,7 +194,6 @@ def feature_errors(result: Result, *, ax: Axes | None = None) -> Figure | Axes:
     ValueError
         Where the data are not those of a run (see `Result.save`).
     """
-    require_result(result)
     require_run(result)
     require_axes(ax)
     band = result.scenario.metrics.band
@@ -268,7 +266,6 @@ def feature_paths(result: Result, *, ax: Axes | None = None) -> Figure | Axes:
     ValueError
         Where the data are not those of a run (see `Result.save`).
     """
-    require_result(result)
     require_run(result)
     require_axes(ax)
     views = image_views(result)
@@ -333,7 +330,6 @@ def platform_motion(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | Non
     ValueError
         For any other number of axes, and where the data are not those of a run (see `Result.save`).
     """
-    require_result(result)
     require_run(result)
     boxes = [(0.68, bottom, 6.04, 1.3) for bottom in (2.01, 0.48)]
     return draw_over_time(Figure(figsize=(PAGE, 3.6)), result, motion_panels(result), boxes, axes)

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from hexservo.draw.panels import draw_legend, draw_over_time
 from hexservo.draw.style import BLACK, FAINT, GREY, PAGE, THIN, styled
-from hexservo.run.result import Result, require_result
+from hexservo.run.result import Result, require_run
 from hexservo.run.samples import mean_period, mean_samples
-from hexservo.run.saving import require_run
 from hexservo.run.time_panels import wrench_panels
 from hexservo.scenario.leg_units import leg_units
 
@@ -59,7 +58,6 @@ def control_wrench(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | None
     ValueError
         For any other number of axes, and where the data are not those of a run (see `Result.save`).
     """
-    require_result(result)
     require_run(result)
     shown = wrench_panels(result)
     mean = mean_samples(result.time)

@@ -46,10 +46,8 @@ def write_report(result: Result, path: str | os.PathLike[str], *, force: bool = 
         The file exists, is not a report, or cannot be written; its name has an ending other than .html and .htm.
     """
     from hexservo.report.page import page
-    from hexservo.run.result import require_result
-    from hexservo.run.saving import require_run
+    from hexservo.run.result import require_run
 
-    require_result(result)
     require_run(result)
     check_report(path, force=force)  # before the work
     write_file(page(result), path, TITLE, _AUTHOR, force=force)

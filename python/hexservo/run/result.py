@@ -10,7 +10,7 @@ from hexservo.run.display import result_text
 from hexservo.run.drawn import html_of
 from hexservo.run.metrics import readable_unit
 from hexservo.run.quantities import WRENCH, Outcome, quantities
-from hexservo.run.saving import save_result, saved_attributes
+from hexservo.run.saving import require_data, save_result, saved_attributes
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.fields import described
 from hexservo.scenario.leg_units import unit_of
@@ -226,3 +226,17 @@ def require_result(result: object) -> None:
     """
     if not isinstance(result, Result):
         raise wrong_type("result", "a Result (see hs.simulate)", result)
+
+
+def require_run(result: Result) -> None:
+    """Refuse an argument that is no result, or has what no run has.
+
+    Raises
+    ------
+    TypeError
+        As `require_result`.
+    ValueError
+        As `require_data`.
+    """
+    require_result(result)
+    require_data(result)

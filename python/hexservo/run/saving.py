@@ -35,13 +35,13 @@ def result_bytes(result: Result) -> memoryview:
     Raises
     ------
     ValueError
-        As `require_run`.
+        As `require_data`.
     """
-    require_run(result)
+    require_data(result)
     return sealed_bytes(result.to_xarray())
 
 
-def require_run(result: Result) -> None:
+def require_data(result: Result) -> None:
     """Refuse a result in which someone wrote what no run has: `load_result` would refuse its file.
 
     Raises
@@ -76,7 +76,7 @@ def save_result(result: Result, path: str | os.PathLike[str], *, force: bool = F
     OutputError
         The file exists, is no saved result or was changed, or cannot be written.
     ValueError
-        As `require_run`.
+        As `require_data`.
     """
     check_saved(path, force=force)  # before the work
     write_file(result_bytes(result), path, is_sealed, "hexservo", force=force)

@@ -12,8 +12,7 @@ from hexservo.findings.diagnosis.model import Case, Removal
 from hexservo.findings.diagnosis.ranking import Trial, judged, make_cases, pairs, rank, study
 from hexservo.findings.diagnosis.runs import Run, record_of, run_all
 from hexservo.findings.diagnosis.words import criteria_met, how, misses, warnings_of
-from hexservo.run.result import Result, require_result
-from hexservo.run.saving import require_run
+from hexservo.run.result import Result, require_run
 
 __all__ = ["Diagnosis", "Finding", "Remedy", "diagnose"]
 
@@ -45,7 +44,6 @@ def diagnose(result: Result) -> Diagnosis:
     ValueError
         Where the data are not those of a run (see `Result.save`).
     """
-    require_result(result)
     require_run(result)
     if result.outcome == "interrupted":
         return Diagnosis(result, None, ())
