@@ -147,13 +147,18 @@ class HexapodVectorEnv(_vector.VectorEnv):  # type: ignore[misc]
         ValueError
             "actions: expected ..., got ..." for another shape, NaN, and what are no real numbers.
         """
+        return self._advanced(_actions("actions", actions, (self.num_envs, 6)))
+
+    def _advanced(self, actions: Array) -> tuple[Array, Array, Mask, Mask, dict[str, Any]]:
+        """Take one servo tick with actions that are checked."""
         if not self._states:
             raise gym.error.ResetNeeded("call reset before step")
-        wanted = np.clip(_actions("actions", actions, (self.num_envs, 6)), -1.0, 1.0) * self.action_scale
+        wanted = np.minimum(np.maximum(actions, -1.0), 1.0) * self.action_scale
         if self._servo is not None:
             wanted = _following(self._servo, wanted, self._states, self._tick)
         before = self._over
-        error = np.sqrt(np.mean((self._desired - self._seen) ** 2, axis=1)) / self._error_unit
+        away = self._desired - self._seen
+        error = np.sqrt(np.add.reduce(away * away, axis=1) / away.shape[1]) / self._error_unit
         self._runs.command(wanted)
         self._read()
         over = ~self._states["running"]
@@ -259,7 +264,7 @@ class HexapodEnv(gym.Env):  # type: ignore[misc]
     def step(self, action: ArrayLike) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """Take one servo tick with six numbers."""
         given = _actions("action", action, (6,))
-        observed, rewards, terminated, truncated, info = self._one.step(given[None])
+        observed, rewards, terminated, truncated, info = self._one._advanced(given[None])
         return observed[0], float(rewards[0]), bool(terminated[0]), bool(truncated[0]), _first(info)
 
 

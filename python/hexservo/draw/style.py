@@ -11,7 +11,8 @@ from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 import matplotlib
 from matplotlib.figure import Figure
-from matplotlib.textpath import TextPath
+from matplotlib.font_manager import FontProperties
+from matplotlib.textpath import text_to_path
 
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
@@ -116,8 +117,9 @@ def as_written(text: str) -> str:
 
 
 def text_width(text: str, size: float) -> float:
-    """Return the width of a line of text in our style [in], of a font size [pt]."""
-    return float(TextPath((0, 0), text, size).get_extents().width) / 72 if text.strip() else 0.0
+    """Return the width of a line of plain text in our style [in], of a font size [pt]."""
+    width, _, _ = text_to_path.get_text_width_height_descent(text, FontProperties(size=size), ismath=False)
+    return float(width) / 72
 
 
 def wrapped(text: str, size: float, width: float) -> str:
