@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import signal
 
 import pytest
+import typer.testing
 from hypothesis import settings
 
 import hexservo as hs
@@ -20,6 +22,9 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 # Tests end processes, not machines: what was written outlives a process without it, and waiting for disks would be a
 # tenth of the time.
 os.fsync = lambda descriptor: None  # type: ignore[assignment]
+
+# CliRunner makes all commands anew at every call, which takes longer than most of them.
+typer.testing._get_command = functools.cache(typer.testing._get_command)  # type: ignore[attr-defined]
 
 # The same examples in every run; a failure prints the line that repeats it. No time limits: machines differ.
 settings.register_profile("hexservo", derandomize=True, print_blob=True, deadline=None)
