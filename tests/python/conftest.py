@@ -23,7 +23,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 # tenth of the time.
 os.fsync = lambda descriptor: None  # type: ignore[assignment]
 
-# CliRunner makes all commands anew at every call, which takes longer than most of them.
+# CliRunner makes all commands at every call, which takes longer than most of them.
 typer.testing._get_command = functools.cache(typer.testing._get_command)  # type: ignore[attr-defined]
 
 # The same examples in every run; a failure prints the line that repeats it. No time limits: machines differ.
