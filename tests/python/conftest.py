@@ -6,6 +6,7 @@ import functools
 import gc
 import os
 import signal
+from collections import Counter
 
 import pytest
 import typer.testing
@@ -34,6 +35,17 @@ typer.testing._get_command = functools.cache(typer.testing._get_command)  # type
 # The same examples in every run; a failure prints the line that repeats it. No time limits: machines differ.
 settings.register_profile("hexservo", derandomize=True, print_blob=True, deadline=None)
 settings.load_profile("hexservo")
+
+
+# Files of few tests that take long.
+LONG = {"test_campaign_cluster", "test_identified_motors", "test_recipes", "test_resting_legs"}
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put long files first, then those of most tests: no worker is alone with a long one at the end."""
+    counts = Counter(item.path for item in items)
+    items.sort(key=lambda item: (item.path.stem not in LONG, -counts[item.path], item.path))
 
 
 def pytest_collection_finish() -> None:
