@@ -21,8 +21,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # A run in the background (nohup, `&` in a script) ignores Ctrl-C, and so would every test of it and its subprocesses.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# Tests end processes, not machines: what was written outlives a process without it, and waiting for disks would be a
-# tenth of the time.
+# Tests end processes, not machines: what was written outlives a process without it. Searches for gains waited for disks
+# in a twelfth of their time.
 os.fsync = lambda descriptor: None  # type: ignore[assignment]
 
 # Collecting makes millions of objects that stay: the garbage collector took an eighth of the time to go through them.
