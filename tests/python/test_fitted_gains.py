@@ -765,3 +765,13 @@ def test_a_machine_that_follows_twists_is_analysed_with_fitted_gains() -> None:
     )
     (section,) = hs.analyse(scenario, ["conditioning"]).sections()
     assert section.verdict != "open"
+
+
+def test_a_machine_is_computed_once_for_scenarios_that_share_it() -> None:
+    """Its arrays cannot be changed, since others have them too."""
+    scenario = hs.load_scenario("pi-h824-positions")
+    machine = machine_of(scenario)
+    assert machine_of(scenario.updated({"simulation.duration": 2.0, "name": "other"})) is machine
+    assert not any(array.flags.writeable for array in vars(machine).values())
+    heavier = machine_of(scenario.updated({"robot.mass": 2.0 * scenario.robot.mass}))
+    assert heavier.mass[0, 0] == pytest.approx(2.0 * machine.mass[0, 0], rel=1e-12)

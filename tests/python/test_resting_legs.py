@@ -28,6 +28,7 @@ def sticking(commands: Array, bandwidth: Array, damping: Array, edge: Array) -> 
     """
     w, h = 2 * np.pi * bandwidth, PERIOD / FINE
     phi = np.stack([expm(h * np.array([[0.0, 1.0], [-a * a, -2 * z * a]])) for a, z in zip(w, damping, strict=True)])
+    (to_place, by_rate), (of_place, of_rate) = phi.transpose(1, 2, 0)
     q, v = commands[0].copy(), np.zeros_like(commands[0])
     out = np.empty_like(commands)
     for tick, command in enumerate(commands):
@@ -38,10 +39,13 @@ def sticking(commands: Array, bandwidth: Array, damping: Array, edge: Array) -> 
                 pulled = np.where(np.abs(away) > edge, np.sign(away), 0.0)
                 direction = np.where(v != 0.0, np.sign(v), pulled)
                 goal = np.where(direction != 0.0, command - edge * direction, q)
-                rate = phi[:, 1, 0] * (q - goal) + phi[:, 1, 1] * v
-                v = np.where(rate * direction > 0.0, v, 0.0)  # it turns around in this step: from rest, then
-            moved = phi[:, 0, 0] * (q - goal) + phi[:, 0, 1] * v
-            q, v = goal + moved, np.where(rate * direction > 0.0, rate, 0.0)
+                away, before = q - goal, v
+                rate = of_place * away + of_rate * v
+                goes_on = rate * direction > 0.0
+                v = np.where(goes_on, v, 0.0)  # it turns around in this step: from rest, then
+                if np.array_equal(v, before):
+                    break
+            q, v = goal + (to_place * away + by_rate * v), np.where(goes_on, rate, 0.0)
     return out
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from operator import attrgetter
 from typing import Any, cast
 
@@ -16,6 +17,7 @@ from pydantic import ValidationError
 
 from hexservo import _core
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.block import Block
 from hexservo.scenario.blocks import SIDES, Blocks, circle_keys
 from hexservo.scenario.core_defaults import core_default
 from hexservo.scenario.keys import sampled_keys
@@ -43,7 +45,8 @@ _AGILITY, _SPEED = 1.0, 0.4  # tracking: the target's acceleration and speed, in
 
 _SURE = 1e6  # weight of the pose sensors where the pose is known [px^2/m^2; px^2/rad^2]
 _SAME = 1e-9  # relative difference of gains that are equal but for rounding
-_BLOCKS = ("name", "robot", "camera", "target")
+_BLOCKS = ("robot", "camera", "target")
+_KEPT = 16  # machines: a scenario and its changes ask for one of them several times
 # What the machine depends on, but for limits and devices.
 _OF_MACHINE = ("robot.", "camera.", "target.")
 _LIMITS = ("robot.stroke", "robot.force_limit")
@@ -93,9 +96,14 @@ def machine_of(scenario: Blocks) -> Machine:
     ValueError
         For what the core refuses, as `core_parameters`.
     """
-    settings = _nominal(scenario)
+    return _machine(scenario.robot, scenario.camera, scenario.target)
+
+
+@lru_cache(_KEPT)
+def _machine(*blocks: Block) -> Machine:
+    settings = _nominal(blocks)
     probe = _core.Probe(settings)
-    position, quaternion, depth, displacement = _goal(scenario, settings, probe)
+    position, quaternion, depth, displacement = _goal(blocks, settings, probe)
     desired = settings.camera.features(settings["target.desired_features"].reshape(-1, 2)).ravel()
     jacobian = probe.image_jacobian(desired[None], depth, quaternion, position=position)[0]
     weights = np.repeat(settings["target.weights"], 2)
@@ -106,7 +114,10 @@ def machine_of(scenario: Blocks) -> Machine:
     sight = size * np.sqrt(squares.reshape(-1, 2, 3).sum(axis=(0, 2)) / weights.sum())
     pull = _common_pull(jacobian, weights)
     pointing = np.einsum("ij,ji->i", pull, np.linalg.solve(inertia, pull.T))
-    return Machine(np.diag(inertia).copy(), np.repeat(sight, 3), pointing, weights, jacobian, inertia, displacement)
+    arrays = np.diag(inertia).copy(), np.repeat(sight, 3), pointing, weights, jacobian, inertia, displacement
+    for array in arrays:
+        array.flags.writeable = False  # several scenarios share them
+    return Machine(*arrays)
 
 
 def _common_pull(jacobian: Array, weights: Array) -> Array:
@@ -122,7 +133,7 @@ def machine_with(scenario: Blocks, changes: Mapping[str, Any]) -> Machine:
     ValueError
         As `machine_of`.
     """
-    blocks = {name: plain(getattr(scenario, name)) for name in _BLOCKS}
+    blocks = {name: plain(getattr(scenario, name)) for name in ("name", *_BLOCKS)}
     for side in SIDES:
         if f"robot.{side}_joints" in changes:
             blocks["robot"] |= dict.fromkeys(circle_keys(side))
@@ -131,15 +142,15 @@ def machine_with(scenario: Blocks, changes: Mapping[str, Any]) -> Machine:
     return machine_of(Blocks.model_validate(blocks))
 
 
-def _nominal(scenario: Blocks, law: str = "kelly", **gains: Any) -> Settings:
-    """Return the core's settings without uncertainties and devices."""
-    blocks = {name: getattr(scenario, name) for name in _BLOCKS}
-    nominal = Blocks.model_validate({**blocks, "controller": {"law": law, law: gains}})
+def _nominal(blocks: tuple[Block, ...], law: str = "kelly", **gains: Any) -> Settings:
+    """Return the core's settings of robot, camera and target, without uncertainties and devices."""
+    known = dict(zip(_BLOCKS, blocks, strict=True))
+    nominal = Blocks.model_validate({"name": "nominal", **known, "controller": {"law": law, law: gains}})
     read_target(nominal)
     return core_parameters(nominal)
 
 
-def _goal(scenario: Blocks, settings: Settings, probe: _core.Probe) -> tuple[Array, Array, Array, Array]:
+def _goal(blocks: tuple[Block, ...], settings: Settings, probe: _core.Probe) -> tuple[Array, Array, Array, Array]:
     """Return pose (1, 3), (1, 4), depths Z (1, n) [m] and displacement (6,) of the goal; home's and NaN without one.
 
     What the law `pbvs` regulates at home is the displacement from there to the goal.
@@ -150,7 +161,7 @@ def _goal(scenario: Blocks, settings: Settings, probe: _core.Probe) -> tuple[Arr
         return position, quaternion, -settings["target.depth"][None], np.full(6, np.nan)
     features, depth = probe.image(position, quaternion)
     try:
-        asked = _core.Probe(_nominal(scenario, "pbvs", kp=1.0, kd=0.0, prior=_SURE))
+        asked = _core.Probe(_nominal(blocks, "pbvs", kp=1.0, kd=0.0, prior=_SURE))
     except ValueError:  # no pose shows the goal image
         return position, quaternion, depth, np.full(6, np.nan)
     still = np.zeros((1, 6))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,22 +21,33 @@ def plain(value: Any, place: str = "", depth: int = 0) -> Any:
         return value
     if depth > MAX_DEPTH:
         raise ScenarioError(f"{place[:60]}...: expected at most {MAX_DEPTH} levels of nesting, got more")
+    if type(value) is str and value.isascii():  # as most of the rest, and lists: without the tests of other types
+        return value
+    if type(value) is list or type(value) is tuple:
+        return _plain_list(value, place, depth)
     if isinstance(value, BaseModel):
         value = {key: getattr(value, key) for key in type(value).model_fields}
     if isinstance(value, Mapping):
         for key in value:
             if not isinstance(key, str) or not _is_unicode(key):
                 raise ScenarioError(f"{place or 'the scenario'}: expected keys that are text, got {shown_value(key)}")
-        return {str(key): plain(item, f"{place}.{key}".lstrip("."), depth + 1) for key, item in value.items()}
+        return {
+            str(key): item if type(item) in _AS_IT_IS else plain(item, f"{place}.{key}".lstrip("."), depth + 1)
+            for key, item in value.items()
+        }
     value = _of_numpy(value, place)
     if isinstance(value, Sequence | deque) and not isinstance(value, str | bytes | bytearray):
-        return [plain(item, place, depth + 1) for item in value]
+        return _plain_list(value, place, depth)
     if isinstance(value, str) and not _is_unicode(value):
         raise ScenarioError(f"{place}: expected text of whole Unicode characters, got {shown_value(value)}")
     for kind in (bool, int, float, str):  # numpy's float64 is a float, an enumeration may be text
         if isinstance(value, kind):
             return kind(value)
     return value
+
+
+def _plain_list(values: Iterable[Any], place: str, depth: int) -> list[Any]:
+    return [item if type(item) in _AS_IT_IS else plain(item, place, depth + 1) for item in values]
 
 
 # What a type of quantities has, as those of Pint and of Astropy: their numbers by themselves are in any unit.

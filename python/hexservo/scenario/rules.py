@@ -155,7 +155,7 @@ class ArrayRule(Rule):
             if is_number(value):
                 return self.element.accept(value)
             self.refuse(value)
-        numbers = _tuples(value, self.shape, self.element.accept, self.expected)
+        numbers = _tuples(value, self.shape, self.element.accept, self)
         return cast("float | Vector | Matrix", collapsed(numbers) if self.or_number else numbers)
 
 
@@ -193,7 +193,7 @@ class PointsRule(ArrayRule):
         points, rest = divmod(len(value), 1 if self.rows else self.each)
         if rest or not LEAST_POINTS <= points <= MOST_POINTS:
             raise refusal(((), f"expected {self.expected}, got a list of {len(value)}"))
-        numbers = _tuples(value, self.shape_for(points), self.element.accept, self.expected)
+        numbers = _tuples(value, self.shape_for(points), self.element.accept, self)
         return cast("float | Vector | Matrix", collapsed(numbers) if self.or_number else numbers)
 
 
@@ -219,8 +219,8 @@ class Inertia(Rule):
         if not isinstance(value, list):
             self.refuse(value)
         if not any(isinstance(row, list) for row in value):
-            return cast("Vector", _tuples(value, (3,), Number().accept, self.expected))
-        rows = cast("Matrix", _tuples(value, (3, 3), Number().accept, self.expected))
+            return cast("Vector", _tuples(value, (3,), Number().accept, self))
+        rows = cast("Matrix", _tuples(value, (3, 3), Number().accept, self))
         tolerance = 1e-9 * max(abs(number) for row in rows for number in row)
         uneven = [
             ((i, j), f"expected a symmetric matrix, got {rows[i][j]!r} here and {rows[j][i]!r} at [{j}][{i}]")
@@ -242,7 +242,7 @@ class TableRule(Rule):
             return "linear"
         if not isinstance(value, list):
             self.refuse(value)
-        rows = cast("Matrix", _tuples(value, (7, 7), self._entry, self.expected))
+        rows = cast("Matrix", _tuples(value, (7, 7), self._entry, self))
         return "linear" if rows == _core.LINEAR_RULE_TABLE else rows
 
     def _entry(self, value: Any) -> float:
@@ -304,7 +304,7 @@ class Samples(Rule):
             return None
         if not isinstance(value, list) or not 2 <= len(value) <= MAX_SAMPLES:
             self.refuse(value)
-        return cast("Matrix", _tuples(value, (len(value), self.columns), Number().accept, self.expected))
+        return cast("Matrix", _tuples(value, (len(value), self.columns), Number().accept, self))
 
 
 class File(Rule):
@@ -392,7 +392,8 @@ class LineRule(Rule):
 
 
 def is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    # The first decides for most values, in a third of the time.
+    return type(value) is float or (isinstance(value, int | float) and not isinstance(value, bool))
 
 
 def _is_number_text(value: str) -> bool:
@@ -403,8 +404,8 @@ def _is_number_text(value: str) -> bool:
     return True
 
 
-def _tuples(value: list[Any], shape: tuple[int, ...], accept: Callable[[Any], float], expected: str) -> Any:
-    """Turn an array into nested tuples, or refuse everything that is wrong in it, each at its index."""
+def _tuples(value: list[Any], shape: tuple[int, ...], accept: Callable[[Any], float], rule: Rule) -> Any:
+    """Turn an array of a rule into nested tuples, or refuse everything that is wrong in it, each at its index."""
     problems: list[Problem] = []
 
     def level(value: Any, place: tuple[int, ...]) -> Any:
@@ -416,14 +417,14 @@ def _tuples(value: list[Any], shape: tuple[int, ...], accept: Callable[[Any], fl
                 return math.nan
         count = shape[len(place)]
         if not isinstance(value, list) or len(value) != count:
-            wanted = f"a row of {count}" if place else expected
+            wanted = f"a row of {count}" if place else rule.expected
             got = f"a list of {len(value)}" if isinstance(value, list) else shown_value(value)
             problems.append((place, f"expected {wanted}, got {got}"))
             return ()
         return tuple(level(item, (*place, index)) for index, item in enumerate(value))
 
     if len(shape) > 1 and not any(isinstance(item, list) for item in value):
-        raise refusal(((), f"expected {expected}, got {shown_value(value)}"))
+        raise refusal(((), f"expected {rule.expected}, got {shown_value(value)}"))
     result = level(value, ())
     if problems:
         raise refusal(*problems)

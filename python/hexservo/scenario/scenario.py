@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import Any, cast
@@ -252,8 +253,7 @@ def read_document(name_or_path: str | os.PathLike[str]) -> Document:
     names = scenario_names()
     if isinstance(name_or_path, str):
         if name_or_path in names:
-            text = (resources.files("hexservo") / "scenarios" / f"{name_or_path}.yaml").read_text(encoding="utf-8")
-            return Document(load_yaml(text, name_or_path), name_or_path)
+            return _packaged(name_or_path)
         if not os.path.lexists(name_or_path):
             stem = name_or_path.removesuffix(".yaml")
             what = "no such file"
@@ -265,6 +265,13 @@ def read_document(name_or_path: str | os.PathLike[str]) -> Document:
     document = read_yaml(name_or_path, [SCENARIO_OF_RUN])
     folder = Path(path).parent  # to which paths of recordings are relative
     return Document(_in_folder(_in_folder(document, folder, "base_motion"), folder, "target", "motion"), path)
+
+
+@cache
+def _packaged(name: str) -> Document:
+    """Return a packaged scenario as it is written; its keys are shared and never changed."""
+    text = (resources.files("hexservo") / "scenarios" / f"{name}.yaml").read_text(encoding="utf-8")
+    return Document(load_yaml(text, name), name)
 
 
 def _chosen(keys: dict[str, Any], whole: dict[str, Any], written: dict[str, Any]) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import Any, TypeAlias, TypeGuard
 
 import numpy as np
@@ -114,6 +115,11 @@ def _has_pairs(law: str, gains: Any) -> bool:
     """Return whether a block holds gains of a law whose ``kp`` has two numbers for each point."""
     if law not in _core.LAW_TRAITS or not isinstance(gains, dict):
         return False
+    return _law_has_pairs(law)
+
+
+@cache
+def _law_has_pairs(law: str) -> bool:
     return any(key.name == f"controller.{law}.kp" and key.per_point for key in _core.scenario_keys(law))
 
 
