@@ -100,7 +100,7 @@ test:
 	cpp_format() { clang-format --dry-run -Werror $(CXX_FILES); }
 	if $(SETUP) test-setup; then
 	  check ctest cmake --workflow --preset dev
-	  check pytest python -m pytest --numprocesses auto --dist loadfile
+	  check pytest python -m pytest --numprocesses auto --dist loadfile --no-loadscope-reorder
 	  check stubtest python -m mypy.stubtest --mypy-config-file pyproject.toml hexservo._core
 	  check mypy mypy
 	  check ruff ruff check

@@ -43,7 +43,10 @@ LONG = {"test_campaign_cluster", "test_identified_motors", "test_recipes", "test
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put long files first, then those of most tests: no worker is alone with a long one at the end."""
+    """Put long files first, then those of most tests: no worker is alone with a long one at the end.
+
+    As `make test` runs them, file by file in the order given.
+    """
     counts = Counter(item.path for item in items)
     items.sort(key=lambda item: (item.path.stem not in LONG, -counts[item.path], item.path))
 
