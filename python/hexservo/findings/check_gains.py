@@ -19,7 +19,7 @@ from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.fitted import Machine, auto_of, chosen_keys, fitted_keys
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.laws import LAWS
-from hexservo.scenario.parameters import frame_period, image_age
+from hexservo.scenario.parameters import actuators_lag, frame_period, image_age
 from hexservo.scenario.pixels import feature_noise
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import apart, below, number, quantity
@@ -225,16 +225,6 @@ def image_delay(scenario: Scenario) -> float:
     if scenario.actuators.takes_positions:
         late *= carried
     return 0.5 * scenario.simulation.step + smoothing_lag(scenario) + age + late
-
-
-def actuators_lag(scenario: Scenario) -> float:
-    """Return how late forces are, or legs that take positions: delay, and lag of an even motion [s]."""
-    actuators = scenario.actuators
-    if actuators.kind == "position":
-        return actuators.delay + actuators.position.damping / (math.pi * actuators.position.bandwidth)
-    if actuators.kind == "position_torque":  # kp (q* - q) = (kv + damping) q-dot
-        return actuators.delay + (actuators.motor.kv + actuators.motor.damping) / actuators.motor.kp
-    return actuators.delay + (1.0 / (2.0 * math.pi * actuators.bandwidth) if actuators.bandwidth is not None else 0.0)
 
 
 def smoothing_lag(scenario: Scenario) -> float:
