@@ -128,3 +128,15 @@ def test_depth_errors_of_one_per_cent_oscillate_with_a_late_image() -> None:
     assert own_of(found).smallest > 0.5
     assert "oscillates at 2.0" in section.sentences[1]
     assert any("drifts away or oscillates" in text for text in section.sentences)
+
+
+def test_a_law_of_a_filtered_pose_has_no_drift_of_any_target() -> None:
+    """Four points or five: the reason is the law."""
+    scenario = hs.load_scenario("pi-h824-positions")
+    points = scenario.target.points
+    assert points is not None
+    added = [*points, np.mean(points, axis=0).tolist()]
+    five = scenario.updated({"target": {"points": added, "desired_features": None, "desired_pose": [0.0] * 6}})
+    reasons = {drift.analyse(each).open_because for each in (scenario, five)}
+    assert len(reasons) == 1
+    assert "filters" in reasons.pop()

@@ -142,10 +142,10 @@ def analyse(scenario: Scenario) -> Drift:
 def _not_for(scenario: Scenario) -> str:
     """Return why a scenario is not analysed; empty with a pose error by (J-hat^T W J-hat + M)^-1 of four points."""
     law = scenario.controller.traits
-    if scenario.target.count != _POINTS:
-        return f"its patterns of depth errors are those of four points, and the target has {scenario.target.count}"
     if law.output == "pose":
         return "it sends the legs to a pose that it filters, whatever the depth errors"
+    if scenario.target.count != _POINTS:
+        return f"its patterns of depth errors are those of four points, and the target has {scenario.target.count}"
     if not law.pose_error:
         return "it forms no pose error; for its image part under unequal depth errors see equilibria"
     return "" if law.inverse else "it estimates the pose by iteration from assumed target points"
