@@ -403,7 +403,7 @@ def test_prediction_slows_the_drift_by_the_age_of_the_image(
         # inertia is left out, and of the age all but its mean
         assert pattern.rate == pytest.approx(-loop, rel=0.03)
         assert abs(pattern.rate) < 0.95 * abs(pattern_of(held, signs).rate)
-    age = f"{1e3 * (1.5 * time - 0.001):.3g} ms of the image's mean age"
+    age = f"carried on over {1e3 * (1.5 * time - 0.001):.3g} ms, its mean age"
     assert age in predicted.section().sentences[1]
     assert "age" not in held.section().sentences[1]
 

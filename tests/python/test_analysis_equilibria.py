@@ -364,3 +364,33 @@ def test_a_goal_image_of_no_pose_has_no_goal(band: float, paper: hs.Scenario) ->
     found = equilibria.analyse(scenario)
     assert {each.kind for each in found.found} == {"false"}
     assert found.section().verdict == "bad"
+
+
+def test_legs_that_take_positions_rest_where_the_virtual_platform_does(
+    trap: tuple[hs.Scenario, equilibria.Equilibria],
+) -> None:
+    """Errors of the dynamics change nothing, and its damping adds to the law's. The slowest mode is of -0.092 1/s."""
+    scenario = trap[0].updated({"controller.kelly.kp": 1e-6})  # as fast as legs and servo period can follow
+    found = equilibria.analyse(scenario)
+    positions = scenario.updated(
+        {
+            "simulation": {"mode": "sampled", "step": 0.002},
+            "actuators": {"kind": "position", "position": {"bandwidth": 20.0}},
+            "sensors.pose": "encoders",
+            "camera.prediction": "encoder",
+            "uncertainty": {"gravity": 0.3, "inertia": 0.2},
+        }
+    )
+    analysis = hs.analyse(positions, ["equilibria"])
+    predicted = attracting(analysis.equilibria)
+    np.testing.assert_allclose(predicted.position, attracting(found).position, rtol=0.0, atol=1e-9)
+    assert analysis.sections()[0].verdict == "bad"
+    beside = (predicted.displacement + 1e-5 * np.array([1.0, 0.0, 1.0, 0.0, 1.0, 0.0])).tolist()
+    run = hs.simulate(positions.updated({"simulation.start.pose": beside, "simulation.duration": 20.0}))
+    away = np.linalg.norm(run.position - predicted.position, axis=1)
+    assert away[-1] < 0.3 * away[0]
+    damping = np.broadcast_to(scenario.controller.kelly.kd, 6)
+    slower = equilibria.analyse(positions.updated({"controller.virtual_platform.damping": damping.tolist()}))
+    expected = equilibria.analyse(scenario.updated({"controller.kelly.kd": (2.0 * damping).tolist()}))
+    assert attracting(slower).growth == pytest.approx(attracting(expected).growth, rel=1e-5)
+    assert attracting(slower).growth != pytest.approx(attracting(found).growth, rel=1e-2)

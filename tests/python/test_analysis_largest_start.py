@@ -10,8 +10,8 @@ import pytest
 
 import hexservo as hs
 from hexservo.findings.analysis import largest_start
-from hexservo.findings.analysis.largest_start import Direction, LargestStart, border
-from hexservo.findings.analysis.largest_start_words import border_words
+from hexservo.findings.analysis.largest_start import Direction, LargestStart, _timings, _Trial, border
+from hexservo.findings.analysis.largest_start_words import _sentences, _timing_words, border_words
 from hexservo.findings.analysis.scene import Scene, scene_of
 
 
@@ -171,9 +171,61 @@ def test_the_papers_law_needs_a_fast_camera_or_prediction(found: LargestStart, p
     assert "implicit switching" in found.assumed
 
 
+def timings_of(scenario: hs.Scenario) -> LargestStart:
+    """Give the camera times alone."""
+    trial = _Trial(scenario)
+    timings, assumed = _timings(scenario, trial)
+    return LargestStart(scenario.controller.law, "", (), timings, trial.duration, trial.longer, assumed=assumed)
+
+
+def test_camera_times_that_are_only_slow_are_stated_as_slow() -> None:
+    """A target of 2 mm/s: with a period of 160 ms it settles after 2.02 s, and runs are of 2 s."""
+    scenario = hs.load_scenario("pi-h824-positions").updated(
+        {"target.motion": {"kind": "velocity", "velocity": [0.002, 0.0, 0.0]}, "simulation.duration": 6.0}
+    )
+    found = timings_of(scenario)
+    period = found.timings[0]
+    assert period.fails_at == pytest.approx(0.16)
+    assert period.settles_later
+    late = scenario.updated({"camera.period": period.fails_at})
+    assert not settles(late, 2.0)
+    assert settles(late, 6.0)
+    words = " ".join(_timing_words(found))
+    assert "a period of 140 ms settles within 2 s" in words
+    assert "160 ms is slower, but settles within 6 s" in words
+
+
+def test_camera_times_are_searched_from_the_scenarios_own() -> None:
+    """A slow law settles in 2 s with its own camera of 100 ms and 100 ms, and not with a faster one."""
+    scenario = hs.load_scenario("reachy-mini").updated(
+        {"camera.prediction": "none", "controller": {"law": "pbvs", "pbvs": {"auto": {"bandwidth": 0.5}}}}
+    )
+    found = timings_of(scenario)
+    for timing in found.timings[:2]:
+        assert timing.own == pytest.approx(0.1)
+        assert timing.settles_to is not None
+        assert timing.fails_at is not None
+        assert timing.fails_below is not None
+        assert timing.fails_below < timing.own <= timing.settles_to < timing.fails_at
+        for time, good in ((timing.settles_to, True), (timing.fails_at, False), (timing.fails_below, False)):
+            run = hs.simulate(scenario.updated({f"camera.{timing.what}": time, "simulation.duration": 2.0}))
+            assert np.isfinite(hs.metrics(run)["settling_time"]) == good
+    words = " ".join(_timing_words(found))
+    assert "below the scenario's own, does not within 2 s" in words
+    assert "no period that was tried settles within 2 s at a latency of 100 ms (20 ms is slower" in words
+
+
+def test_factors_of_a_border_differ() -> None:
+    """1.367 and 1.373 times the task, which are both 1.37."""
+    way = Direction("own", np.array([1e-3, 0, 0, 0, 0, 0]), 2.0, "stroke", {}, {}, None, {}, 2.0, {})
+    near = replace(way, tried={1.367: True, 1.373: False})
+    assert "up to 1.367 times the task" in " ".join(_sentences(LargestStart("pbvs", "", (near,), duration=2.0)))
+
+
 def test_runs_are_counted(found: LargestStart) -> None:
     tried = sum(len(d.tried) for d in found.directions) + sum(len(t.tried) for t in found.timings)
     later = sum(d.settles_later is not None for d in found.directions)
+    later += sum(t.settles_later is not None for t in found.timings)
     assert found.runs == tried + later + 1  # and the task itself, which decides the duration
 
 
@@ -263,13 +315,13 @@ def test_a_task_with_its_own_start_is_said_to_run_from_home(found: LargestStart,
 
 def test_a_task_that_needs_longer_gets_longer() -> None:
     scenario = hs.load_scenario("paper-no-fuzzy")
-    trial = largest_start._Trial(scenario)
+    trial = _Trial(scenario)
     assert trial.task_settles
     assert trial.duration == 10.0  # it settles after 5.06 s
 
 
 def test_a_goal_that_the_core_refuses_is_no_run(paper: hs.Scenario) -> None:
-    trial = largest_start._Trial(paper)
+    trial = _Trial(paper)
     before = trial.runs
     goals = np.tile(np.array(paper.target.desired_features), (3, 1))
     goals[1] += 2e4  # more than 1e4 px away
@@ -385,7 +437,7 @@ def test_a_task_needs_a_margin_to_the_force_limit(found: LargestStart, paper: hs
     assert own is not None
     tight = paper.updated({"robot.force_limit": 0.9 * hs.metrics(hs.simulate(paper))["peak_leg_force"]})
     goal = {"target.desired_features": np.array([paper.target.desired_features])}
-    (more,) = largest_start._Trial(tight).ends(goal).overloads
+    (more,) = _Trial(tight).ends(goal).overloads
     assert more is not None
     for size, verdict in ((1.0, "warning"), (1.3, "good")):
         overloaded = replace(own, tried={**own.tried, size: True}, overloads={size: more})

@@ -813,3 +813,37 @@ def test_switching_axis_by_axis_is_noted_where_the_inertia_couples_the_axes(pape
         inertia = [[mean, 0.0, product], [0.0, 2.0 * mean, 0.0], [product, 0.0, mean]]
         tilted = sampled.updated({"robot.inertia": inertia})
         assert any(words.startswith(start) for words in unlikely(tilted)) == noted
+
+
+@pytest.mark.parametrize(
+    ("auto", "written", "words"),
+    [
+        (1.0, 30.0, "controller.tracking.bandwidth: 30 Hz is above 12.5 Hz"),
+        (1.0, 0.005, "controller.tracking.bandwidth: 0.005 Hz is below 0.0"),
+        (30.0, 1.0, None),
+        (30.0, None, "controller.tracking.auto.bandwidth: 30 Hz is above 12.5 Hz"),
+    ],
+)
+def test_a_written_bandwidth_is_judged_in_place_of_the_fitted_one(
+    auto: float, written: float | None, words: str | None
+) -> None:
+    """The other keys that `auto` fills in, those of the target's motion, still follow it."""
+    scenario = hs.load_scenario("pi-h824-positions").updated({"controller.tracking.auto.bandwidth": auto})
+    if written is not None:
+        scenario = scenario.updated({"controller.tracking.bandwidth": written})
+    found = [sentence for sentence in unlikely(scenario) if "bandwidth" in sentence]
+    assert [sentence.startswith(words or "none") for sentence in found] == ([True] if words else [])
+
+
+def test_written_gains_of_a_law_are_judged_without_the_fitted_bandwidth() -> None:
+    """`pbvs` of 1 Hz whose kp and kd are written: only its prior still follows."""
+    slow = hs.load_scenario("pi-h824-positions").updated(
+        {"controller": {"law": "pbvs", "pbvs": {"auto": {"bandwidth": 1.0}}}}
+    )
+    own = gains_written(slow)
+    kept = {key: own[key] for key in ("controller.pbvs.kp", "controller.pbvs.kd")}
+    both = slow.updated({**kept, "controller.pbvs.auto.bandwidth": 30.0})
+    assert not [sentence for sentence in unlikely(both) if "30 Hz" in sentence]
+    assert [
+        sentence for sentence in unlikely(slow.updated({"controller.pbvs.auto.bandwidth": 30.0})) if "30 Hz" in sentence
+    ]

@@ -17,13 +17,13 @@ from fitted_machines import BAND, MODES, SEED, STARTS, Array, Row, draw, image, 
 from hexservo.cli.commands import app
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check import unlikely
-from hexservo.findings.check_gains import actuators_lag, image_delay, of_gains, smoothing_lag, start_forces
+from hexservo.findings.check_gains import image_delay, of_gains, smoothing_lag, start_forces
 from hexservo.findings.check_keys import keys_without_effect
 from hexservo.run.export import gains_header
 from hexservo.scenario.fitted import chosen_keys, fitted_keys, gains_written, machine_of
 from hexservo.scenario.keys import default_of, value_at
 from hexservo.scenario.laws import LAWS
-from hexservo.scenario.parameters import core_parameters
+from hexservo.scenario.parameters import actuators_lag, core_parameters
 
 SECOND_ORDER = ("composite", "resolved_rate", "pbvs", "computed_torque")
 

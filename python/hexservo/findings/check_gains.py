@@ -16,10 +16,10 @@ from hexservo.findings.leg_feedback import OF_MARGIN, feedback_margin, integral_
 from hexservo.findings.prior import largest_share, left_by_inverse, share_of_prior
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.block import SAMPLED_MODE
-from hexservo.scenario.fitted import Machine, auto_of, chosen_keys, fitted_keys
+from hexservo.scenario.fitted import Machine, auto_of, chosen_keys, fitted_keys, idle_gains
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.laws import LAWS
-from hexservo.scenario.parameters import frame_period, image_age
+from hexservo.scenario.parameters import actuators_lag, frame_period, image_age
 from hexservo.scenario.pixels import feature_noise
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import apart, below, number, quantity
@@ -33,8 +33,8 @@ _COUPLED = 0.85, 1.2  # least and most of the time to settle, over that without 
 _DEVIATIONS = 3.0  # of the features about rest that metrics.band should hold
 _HALF_DECADES = 12  # by which a prior is reduced in search of one that leaves less, at most
 _PRODUCTS = "the inertia couples the axes (robot.centre_of_mass, robot.payload.position, products in robot.inertia)"
-_OF_MOTION = frozenset(  # spring, damping and adaptation of the laws whose axes an inertia couples
-    ("kp", "kd", "kt", "drive", "fuzzy.adaptation", "gain", "gain_far", "gain_slope", "ki")
+_OF_MOTION = frozenset(  # what sets how fast a platform moves: spring, damping, adaptation, or the bandwidth itself
+    ("kp", "kd", "kt", "drive", "fuzzy.adaptation", "gain", "gain_far", "gain_slope", "ki", "bandwidth")
 )
 _WIDE = 0.1  # of the stroke: a motion of the platform's joints that an integral should not leave
 _NARROW = 0.02  # of the stroke: what it leaves with the band that is suggested
@@ -57,7 +57,7 @@ def of_gains(scene: Scene, fastest: float | None) -> Iterator[str]:
     scenario = scene.scenario
     auto = auto_of(scenario)
     law = scenario.controller.law
-    if auto.bandwidth is not None and len(chosen_keys(scenario)) < len(fitted_keys(law)):
+    if auto.bandwidth is not None and _follows_bandwidth(scenario):
         of_bandwidth = f"controller.{law}.auto.bandwidth: {{}} Hz"
         key = of_bandwidth.format(number(auto.bandwidth))
         yield from _of_times(scenario, of_bandwidth, auto.bandwidth)
@@ -227,16 +227,6 @@ def image_delay(scenario: Scenario) -> float:
     return 0.5 * scenario.simulation.step + smoothing_lag(scenario) + age + late
 
 
-def actuators_lag(scenario: Scenario) -> float:
-    """Return how late forces are, or legs that take positions: delay, and lag of an even motion [s]."""
-    actuators = scenario.actuators
-    if actuators.kind == "position":
-        return actuators.delay + actuators.position.damping / (math.pi * actuators.position.bandwidth)
-    if actuators.kind == "position_torque":  # kp (q* - q) = (kv + damping) q-dot
-        return actuators.delay + (actuators.motor.kv + actuators.motor.damping) / actuators.motor.kp
-    return actuators.delay + (1.0 / (2.0 * math.pi * actuators.bandwidth) if actuators.bandwidth is not None else 0.0)
-
-
 def smoothing_lag(scenario: Scenario) -> float:
     """Return how late features that change evenly are behind their filter, ``camera.smoothing`` [s].
 
@@ -333,6 +323,12 @@ def _of_coupled_noise(scene: Scene, key: str) -> Iterator[str]:
             f"{number(scene.band)} px; {_decoupling_laws(scene.scenario)} takes the coupling out, and a larger "
             f"{inverse} lets less noise through"
         )
+
+
+def _follows_bandwidth(scenario: Scenario) -> bool:
+    """Return whether a gain that sets the motion is fitted; with all of them written the bandwidth does not act."""
+    fitted = _OF_MOTION.intersection(fitted_keys(scenario.controller.law))
+    return not fitted.issubset({*chosen_keys(scenario), *idle_gains(scenario)})
 
 
 def _has_fitted_motion(scenario: Scenario) -> bool:

@@ -20,6 +20,7 @@ from hexservo.scenario.pixels import feature_noise
 from hexservo.scenario.wording import number, quantity
 
 _TIMES = 1.5  # the noise that the filter assumes, above which what it sees looks like motion
+_ROUNDING = 1.0 + 1e-9
 _WHOLE = 2.0  # times the speed from which a velocity counts: 1 - 1/2^4 of it does
 
 
@@ -49,7 +50,7 @@ def _of_motion(scene: Scene, gains: Tracking) -> Iterator[str]:
     scenario = scene.scenario
     motion = scenario.target.motion
     of_pose = gains.follow == "pose"
-    if motion.kind == "none" or (of_pose and motion.kind == "velocity"):  # a steady velocity is on one line
+    if motion.kind == "none":
         return
     period = frame_period(scenario)
     velocities = moved_between_frames(motion, period) / period
@@ -63,34 +64,45 @@ def _of_motion(scene: Scene, gains: Tracking) -> Iterator[str]:
     if times[best] >= (1.0 if of_pose else _WHOLE):
         return
     if of_pose:
+        steady = motion.kind == "velocity"
+        if steady and filtered.on_one_line(moving[best], gains.certainty, period):
+            return
         pixels = _behind(scene, gains, filtered, moving[best], float(speeds.max()))
         if pixels <= scene.band:
             return
-        until = f"the target is followed in pieces of straight lines, up to about {number(pixels, 2)} px behind"
+        ends = (
+            f"with frames of {quantity(period, 's')} a line may end before its velocity counts, and " if steady else ""
+        )
+        until = f"{ends}the target is followed in pieces of straight lines, up to about {number(pixels, 2)} px behind"
     else:
         until = (
             "the mean of earlier frames is followed, behind the target, and up to twice that speed a part of its "
             "velocity is missing"
         )
     counts = float(np.linalg.norm(moving[best])) / float(times[best])
+    less_noise = "controller.tracking.noise to that of the features, or "
+    remedy = less_noise if gains.noise > _ROUNDING * scene.image_noise else "controller.tracking."
     yield (
         f"controller.tracking.certainty: target.motion moves the target at up to {quantity(speeds.max(), 'm/s')}, "
         f"and the velocity of the law's filter counts from about {quantity(counts, 'm/s')} on, where it is "
         f"certainty ({number(gains.certainty)}) times what noise of {number(gains.noise)} px leaves in it, and while "
-        f"the platform follows from up to three times that on: until then {until}; set controller.tracking.noise to "
-        "that of the features, or certainty to 0, with which every velocity counts"
+        f"the platform follows from up to three times that on: until then {until}; set {remedy}certainty to 0, "
+        "with which every velocity counts"
     )
 
 
 def _behind(scene: Scene, gains: Tracking, filtered: SteadyFilter, velocity: Array, speed: float) -> float:
     """Return how far behind a slow target is followed at most, in pieces of straight lines [px].
 
-    By what the filter may be off its line, and by the lag of the reference, which starts again with every piece.
+    By what the filter may be off its line, one frame's way at least, and by the lag of the reference, which starts
+    again with every piece.
     """
     ahead = velocity / np.linalg.norm(velocity)
     off_line = filtered.off_line / float(filtered.in_deviations(ahead[None], filtered.place)[0])
     lag = speed / (math.pi * gains.bandwidth)
-    return (off_line + lag) * float(np.abs(scene.view(scene.start).jacobian[:, :3] @ ahead).max())
+    return (max(off_line, speed * frame_period(scene.scenario)) + lag) * float(
+        np.abs(scene.view(scene.start).jacobian[:, :3] @ ahead).max()
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +114,8 @@ class SteadyFilter:
     """
 
     along: Array  # (n, n), a displacement in B [m; rad] along the modes
-    place: Array  # (n,) deviations along the modes
+    reading: Array  # (n,) deviations along the modes, of the place in one frame
+    place: Array  # (n,) likewise, of the filter's place
     velocity: Array  # (n,) likewise, per s
 
     @property
@@ -114,6 +127,19 @@ class SteadyFilter:
     def off_line(self) -> float:
         """Return the standard deviations of the place of a pose at which the filter leaves the line (`all_within`)."""
         return math.sqrt(_core.all_within(_core.OFF_THE_LINE, self.axes))
+
+    def on_one_line(self, velocity: Array, certainty: float, period: float) -> bool:
+        """Return whether the velocity (3,) of a line counts before the filter is off the line, of a pose.
+
+        After m frames the line's place is that of the mean frame, m/2 periods behind, and the variance of its velocity
+        is 12 R/(period^2 (m^3 - m)) (docs/model.md, section 5).
+        """
+        of_place, of_reading = (
+            float(self.in_deviations(velocity[None], deviations)[0]) * period
+            for deviations in (self.place, self.reading)
+        )
+        m = 2.0 * self.off_line / of_place
+        return (m**3 - m) * of_reading**2 >= 12.0 * certainty**2 * self.axes
 
     def in_deviations(self, vectors: Array, deviations: Array) -> Array:
         """Return the lengths of translations (k, 3) in standard deviations (n,) along the modes, (k,)."""
@@ -133,6 +159,7 @@ def steady_filter(scene: Scene, gains: Tracking) -> SteadyFilter:
     beta = 2.0 * (2.0 - alpha) - 4.0 * left
     return SteadyFilter(
         modes.T / acceleration,
+        reading,
         np.sqrt(alpha) * reading,
         np.sqrt(beta * (alpha - beta / 2.0)) / left * reading / period,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cache
 from operator import attrgetter
 from types import SimpleNamespace
@@ -113,3 +114,13 @@ def image_age(scenario: Blocks) -> float:
         return 0.0
     camera = scenario.camera
     return camera.latency + 0.5 * camera.latency_jitter + 0.5 * (frame_period(scenario) - scenario.simulation.step)
+
+
+def actuators_lag(scenario: Blocks) -> float:
+    """Return how late forces are, or legs that take positions: delay, and lag of an even motion [s]."""
+    actuators = scenario.actuators
+    if actuators.kind == "position":
+        return actuators.delay + actuators.position.damping / (math.pi * actuators.position.bandwidth)
+    if actuators.kind == "position_torque":  # kp (q* - q) = (kv + damping) q-dot
+        return actuators.delay + (actuators.motor.kv + actuators.motor.damping) / actuators.motor.kp
+    return actuators.delay + (1.0 / (2.0 * math.pi * actuators.bandwidth) if actuators.bandwidth is not None else 0.0)

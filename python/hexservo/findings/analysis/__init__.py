@@ -24,10 +24,6 @@ __all__ = ["PARTS", "Analysis", "NotComputed", "analyse"]
 
 _Found = TypeVar("_Found")
 
-_OF_FORCES = ("stiction", "equilibria")  # where a wrench of the law holds the platform
-_POSITIONS = (
-    "it is about a platform that the law's wrench holds, and the legs of this machine follow positions (actuators.kind)"
-)
 _OF_RUNS = ("largest_start",)  # whose runs are those of the scenario, with its motion and its camera
 _OF_PIXELS = ("conditioning", *_OF_RUNS)  # whose noise and border are those of the camera's pixels
 _OF_KNOWN_CAMERA = ("camera_rate",)  # is open where the controller has the camera wrong
@@ -156,9 +152,6 @@ def _about_motion(scenario: Scenario, of_runs: bool) -> list[str]:
 
 def _computed(scenario: Scenario, name: str, of: Callable[[], _Found]) -> _Found | NotComputed:
     """Return the result of a function, or the reason why it cannot be computed, such as an overflow."""
-    if scenario.actuators.takes_positions and name in _OF_FORCES:
-        about = PARTS[name][1]
-        return NotComputed(name, about[0].upper() + about[1:], _POSITIONS)
     try:
         with np.errstate(over="raise", invalid="raise", divide="raise", under="ignore"):
             return of()

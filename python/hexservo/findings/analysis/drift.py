@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
 from hexservo import _core
+from hexservo.findings.analysis.drift_rates import late_rates, lateness
 from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.poses import Poses, without_sign
 from hexservo.findings.analysis.rest import Rest, not_analysed, springs_of
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.part import Part
-from hexservo.scenario.arrays import Array, Mask
-from hexservo.scenario.parameters import core_parameters, image_age
+from hexservo.scenario.arrays import Array, Complex, Mask
+from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario
 
 SIZES = (0.05, 0.3)  # of depth errors, beside the scenario's own
@@ -25,6 +27,8 @@ _CREEP_ROUNDS = 30  # of the search for the end of the drift
 _FAST = 1e-6  # [s], least time constant of the springs that damping leaves: far below a drift's
 _POINTS = 4  # whose patterns are analysed
 _SIGNS = np.array(list(itertools.product((1.0, -1.0), repeat=_POINTS)))  # (16, 4)
+
+_Seen: TypeAlias = tuple[Array, Array, Array]  # E, J-hat and J of a displacement
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +42,7 @@ class Pattern:
     direction: Array  # (6,) [m; rad], in B: the one that belongs to `start`
     rate: float  # [1/s], smallest real part of the drift's rates, at the start
     goal_rate: float  # [1/s], the same at the goal; NaN where there is no goal pose
+    frequency: float  # [Hz], at which the pose error oscillates where it grows: at the start if it does so there
     end: Array | None  # (6,) from home [m; rad], where it comes to rest (`ends`); None: none attracts, or is searched
     end_rate: float  # [1/s], as `rate`, there
     end_error: float  # [px], largest |xi_d - xi| there
@@ -110,6 +115,7 @@ class Drift(Part):
     leaks: bool = False  # the weights that integrate
     grid: Array | None = None  # (n,) sizes
     curves: dict[str, Array] | None = None  # (n,) smallest rate over all patterns [1/s], by place and prior
+    late: float = 0.0  # [s], over which the law carries the image on (`Lateness`)
     springs: int = 0  # axes without a drive, where nothing drifts: the rates are those of the others
     leg_unit: str = "mm"  # a thousandth of the unit of leg travel
     small_shift: float = 0.0  # [m], of motions shown as examples
@@ -136,10 +142,10 @@ def analyse(scenario: Scenario) -> Drift:
 def _not_for(scenario: Scenario) -> str:
     """Return why a scenario is not analysed; empty with a pose error by (J-hat^T W J-hat + M)^-1 of four points."""
     law = scenario.controller.traits
-    if scenario.target.count != _POINTS:
-        return f"its patterns of depth errors are those of four points, and the target has {scenario.target.count}"
     if law.output == "pose":
         return "it sends the legs to a pose that it filters, whatever the depth errors"
+    if scenario.target.count != _POINTS:
+        return f"its patterns of depth errors are those of four points, and the target has {scenario.target.count}"
     if not law.pose_error:
         return "it forms no pose error; for its image part under unequal depth errors see equilibria"
     return "" if law.inverse else "it estimates the pose by iteration from assumed target points"
@@ -187,10 +193,10 @@ class _Worker:
         self.true = [self.jacobian(*place) for place in self.places]
         self.inverse = np.array(getattr(self.gains, self.traits.inverse))
         self.expected = self.inverse if self.traits.prior else np.zeros(6)
-        self.age = image_age(scenario) if scenario.camera.prediction == "encoder" else 0.0  # [s], that it bridges
+        self.late = lateness(scenario)
         self.drive, self.driven_by = self._drive()
-        if self.age > 0.0:
-            self.driven_by += f", with prediction over the {1e3 * self.age:.3g} ms of the image's mean age"
+        if self.late:
+            self.driven_by += f", with an image carried on over {1e3 * self.late.mean:.3g} ms, {self.late.of}"
         at_start = self.springs_over_damping(np.eye(6), self.true[0], self.true[0])
         scaled = (self.drive if self.integrates else at_start) * self.rest.unit / self.rest.unit[:, None]
         self.springs = 6 - int(np.linalg.matrix_rank(scaled))  # axes in which no error becomes a velocity
@@ -289,29 +295,31 @@ class _Worker:
         expected = self.expected if expected is None else expected
         return loop_matrix(self.root * known, self.root * true, inverse, expected)
 
-    def slowest(self, known: Array, true: Array, inverse: Array | None = None, expected: Array | None = None) -> Array:
-        """Return the smallest real part of the drift's rates [1/s], (n,), of J-hat (n, 2p, 6) and J: see `matrix`."""
+    def slowest(
+        self, known: Array, true: Array, inverse: Array | None = None, expected: Array | None = None
+    ) -> Complex:
+        """Return the drift's rate of the smallest real part [1/s; rad/s], (n,), of J-hat (n, 2p, 6) and J: `matrix`."""
         now = (self.matrix(known, true, inverse, expected), known, true)
-        since = None
-        if self.age > 0.0:
-            # Per displacement since the exposure, which the law sees with J-hat in place of J: 1 - E where M_e is M.
-            since = (self.matrix(known, known - true, inverse, np.zeros(6)), known, known - true)
-        return self._smallest_of(self._learning_motion(now, since) if self.integrates else self._motion(now, since))
+        # Per displacement since the image, which the law sees with J-hat in place of J: 1 - E where M_e is M.
+        since = (self.matrix(known, known - true, inverse, np.zeros(6)), known, known - true) if self.late else None
+        moved, held = self._learning_motion(now, since) if self.integrates else self._motion(now, since)
+        values = np.linalg.eigvals(moved) if self.late is None else late_rates(moved, held, self.late)
+        order = np.argsort(np.abs(values), axis=-1)[..., self.springs :]
+        kept = np.take_along_axis(values, order, axis=-1)  # without those of axes that have no drive
+        return np.asarray(np.take_along_axis(kept, kept.real.argmin(axis=-1)[..., None], axis=-1)[..., 0])
 
-    def _motion(self, now: tuple[Array, Array, Array], since: tuple[Array, Array, Array] | None) -> Array:
-        """Return the matrix whose eigenvalues are the rates without fuzzy systems, (n, 6, 6), or (n, 12, 12) with age.
+    def _motion(self, now: _Seen, since: _Seen | None) -> tuple[Array, Array]:
+        """Return the matrices F and H of chi' = -(F chi + H u) without fuzzy systems, (n, 6, 6) each [1/s].
 
-        Its state is the displacement and, with an age tau of the image, the displacement d since the exposure, taken
-        as d' = chi' - d/tau. `now` and `since`, None without age, are what to give to `springs_over_damping`.
+        u is chi where the law has the image from; of the displacement since, chi - u, `since` is what to give to
+        `springs_over_damping` (None: u is chi, and H zero), and `now` what of chi.
         """
         pull = self.springs_over_damping(*now)
-        if since is None:
-            return pull
-        late = self.springs_over_damping(*since)
-        return np.block([[pull, late], [pull, late + np.eye(6) / self.age]])
+        late = np.zeros_like(pull) if since is None else self.springs_over_damping(*since)
+        return pull + late, -late
 
-    def _learning_motion(self, now: tuple[Array, Array, Array], since: tuple[Array, Array, Array] | None) -> Array:
-        """Return the matrix as `_motion` does for fuzzy systems, with the velocity in its state, (n, 12 or 18, ...)."""
+    def _learning_motion(self, now: _Seen, since: _Seen | None) -> tuple[Array, Array]:
+        """Return the matrices as `_motion` does for fuzzy systems, with their output in the state, (n, 12, 12 or 6)."""
         gains, learning = self.gains, np.diag(self.learning)
         damping = gains.kd + self._virtual_damping
         # An axis without damping has some: what is that fast does not count, but for its sign.
@@ -321,22 +329,15 @@ class _Worker:
             stiffness = gains.kt[:, None] * error + self.of_image(known, true)
             return learning @ self.drive @ error / damping, stiffness / damping
 
+        # K_d chi' = -(K_t E + J-hat^T K_p J) chi - tau_f and tau_f' = kappa (chi' + Lambda E chi); tau_f/K_d is state.
         pull, stiff = springs(*now)
-        zero, one = np.zeros_like(pull), np.broadcast_to(np.eye(6), pull.shape)
-        # K_d chi'' + (kappa + K_t E + J-hat^T K_p J) chi' + kappa Lambda E chi = 0, with minus its rates as eigenvalues
-        if since is None:
-            return np.block([[zero, -one], [pull, learning / damping + stiff]])
-        late, stiff_late = springs(*since)
-        row = [pull, learning / damping + stiff + stiff_late, late - stiff_late / self.age]
-        return np.block([[zero, -one, zero], row, [zero, -one, one / self.age]])
+        one, learns = np.broadcast_to(np.eye(6), pull.shape), np.broadcast_to(learning / damping, pull.shape)
+        late, stiff_late = (np.zeros_like(pull), np.zeros_like(pull)) if since is None else springs(*since)
+        every = stiff + stiff_late
+        moved = np.block([[every, one], [learns @ every - pull - late, learns]])
+        return moved, np.concatenate([-stiff_late, late - learns @ stiff_late], axis=-2)
 
-    def _smallest_of(self, matrix: Array) -> Array:
-        """Return the smallest real part of an eigenvalue, (n,), without those of axes that have no drive."""
-        values = np.linalg.eigvals(matrix)
-        order = np.argsort(np.abs(values), axis=-1)[..., self.springs :]
-        return np.asarray(np.take_along_axis(values, order, axis=-1).real.min(axis=-1, initial=np.inf))
-
-    def slowest_at(self, place: int, errors: Array, *prior: Array) -> Array:
+    def slowest_at(self, place: int, errors: Array, *prior: Array) -> Complex:
         """Return `slowest` at a place for depth errors (n, p)."""
         return self.slowest(self.known(place, errors), self.true[place], *prior)
 
@@ -352,7 +353,7 @@ class _Worker:
         travel = np.abs(self.rest.leg_travel(ends)).max(axis=1)
         left = self.rest.limits_left(ends)
         moved = ends.displacement_from(self.rest.home)
-        at_goal = goal_rates = np.full(len(errors), np.nan)
+        at_goal, goal_rates = np.full(len(errors), np.nan), np.full(len(errors), np.nan + 0j)
         if len(self.places) > 1:
             at_goal = np.linalg.eigvals(self.matrix(self.known(1, errors), self.true[1])).real.min(axis=1)
             goal_rates = self.slowest_at(1, errors)
@@ -367,8 +368,9 @@ class _Worker:
                     float(values[i, least].real),
                     float(at_goal[i]),
                     direction * unit / np.linalg.norm(direction),
-                    float(rates[i]),
-                    float(goal_rates[i]),
+                    float(rates[i].real),
+                    float(goal_rates[i].real),
+                    abs(float((rates[i] if rates[i].real <= 0.0 else goal_rates[i]).imag)) / (2.0 * np.pi),
                     moved[i] if ended[i] else None,
                     float(end_rates[i]) if ended[i] else np.nan,
                     float(np.abs(self.rest.desired - seen[i]).max()) if ended[i] else np.nan,
@@ -414,7 +416,7 @@ class _Worker:
         if rows.any():
             there = poses[rows]
             image = (there, *self.rest.image(there))
-            result[rows] = self.slowest(self.jacobian(*image, errors[rows]), self.jacobian(*image))
+            result[rows] = self.slowest(self.jacobian(*image, errors[rows]), self.jacobian(*image)).real
         return result
 
     def size(self, size: float) -> Size:
@@ -425,7 +427,7 @@ class _Worker:
 
         def negative(inverse: Array, expected: Array) -> tuple[int, int]:
             start, *goal = (
-                int((self.slowest_at(k, unequal, inverse, expected) < 0.0).sum()) for k in range(len(self.places))
+                int((self.slowest_at(k, unequal, inverse, expected).real < 0.0).sum()) for k in range(len(self.places))
             )
             return start, goal[0] if goal else 0
 
@@ -440,7 +442,7 @@ class _Worker:
     def over_sizes(self, place: int, sizes: Array, inverse: Array, expected: Array) -> Array:
         """Return the smallest rate over all patterns for each size, (n,) [1/s]."""
         errors = (sizes[:, None, None] * _SIGNS).reshape(-1, 4)
-        return np.asarray(self.slowest_at(place, errors, inverse, expected).reshape(len(sizes), -1).min(axis=1))
+        return np.asarray(self.slowest_at(place, errors, inverse, expected).real.reshape(len(sizes), -1).min(axis=1))
 
     def limit(self, place: int, grid: Array, values: Array) -> float | None:
         """Return the size at which the first pattern loses its positive rate, between two sizes of the grid."""
@@ -490,6 +492,7 @@ class _Worker:
             self.integrates and bool(np.any(self.gains.fuzzy.leakage)),
             grid,
             curves,
+            late=0.0 if self.late is None else self.late.mean,
             springs=self.springs,
             leg_unit=self.rest.units.small,
             small_shift=self.rest.small_shift,

@@ -45,7 +45,8 @@ def _sentences(found: Drift) -> list[str]:
         )
     else:
         words.append(
-            f"There {found.law} drifts away: {_growth(worst)} ({found.driven_by}) until another effect stops it."
+            f"There {found.law} {'does not settle' if worst.frequency > 0.0 else 'drifts away'}: {_growth(worst)} "
+            f"({found.driven_by}) until another effect stops it."
         )
     own = found.own
     if np.ptp(own.errors) > 0.0:
@@ -73,24 +74,28 @@ def _sentences(found: Drift) -> list[str]:
             f"In {found.springs} of the axes no pose error drives the platform: nothing drifts there, and they are "
             "excluded. No end of the drift is given."
         )
+    if found.late > 0.0 and max(own.frequency, worst.frequency) > 0.0:
+        words.append("Depth errors make eigenvalues of the loop matrix large: with a late image these modes oscillate.")
+    moves = "drifts away or oscillates" if found.late > 0.0 else "drifts away"
     limits = [limit for limit in (found.limit_start, found.limit_goal) if limit is not None]
     if limits:
         words.append(
-            f"No pattern drifts away at {places} up to depth errors of {100 * min(limits):.3g} % (searched on "
+            f"No pattern {moves} at {places} up to depth errors of {100 * min(limits):.3g} % (searched on "
             f"a grid of {GRID} sizes up to {100 * LARGEST:.3g} % and by bisection)."
         )
     else:
-        words.append(f"No pattern drifts away at {places} up to {100 * LARGEST:.3g} %, the largest searched.")
+        words.append(f"No pattern {moves} at {places} up to {100 * LARGEST:.3g} %, the largest searched.")
     return words
 
 
 def _growth(pattern: Pattern) -> str:
     """Return how fast the pose error grows: at the start, or at the goal where it does so there alone."""
+    grows = "grows" if pattern.frequency == 0.0 else f"oscillates at {pattern.frequency:.3g} Hz and grows"
     if pattern.rate <= 0.0:
-        return f"the pose error grows e-fold in {-pattern.time_constant:.3g} s at the start"
+        return f"the pose error {grows} e-fold in {-pattern.time_constant:.3g} s at the start"
     return (
-        f"the pose error grows e-fold in {-pattern.goal_time_constant:.3g} s at the goal, while at the start it decays "
-        f"with a time constant of {pattern.time_constant:.3g} s"
+        f"the pose error {grows} e-fold in {-pattern.goal_time_constant:.3g} s at the goal, while at the start it "
+        f"decays with a time constant of {pattern.time_constant:.3g} s"
     )
 
 
@@ -186,7 +191,7 @@ def _data(found: Drift) -> dict[str, Any]:
             "depth_errors": p.errors,
             "smallest_eigenvalue_start": p.start,
             "smallest_eigenvalue_goal": p.goal,
-            **picked(p, "direction rate time_constant goal_rate"),
+            **picked(p, "direction rate time_constant goal_rate frequency"),
             "end_displacement": p.end,
             **picked(p, "end_rate end_error"),
             "end_leg_travel": p.end_travel,

@@ -78,6 +78,8 @@ class Equilibria(Part):
 def analyse(scenario: Scenario) -> Equilibria:
     """Search for the poses at which the image part of a transpose law is zero (docs/analysis/equilibria.md).
 
+    Where the legs take positions they are those of the virtual platform, without errors of the dynamics.
+
     The laws are `kelly`, and `hybrid` without its fuzzy systems and without K_v. What is zero is the acceleration of
     the actual plant at rest: the image part J-hat^T K_p xi-tilde and what the gravity error leaves.
 
@@ -89,7 +91,7 @@ def analyse(scenario: Scenario) -> Equilibria:
     law = scenario.controller.law
     if reason := not_analysed(scenario, _not_for(scenario.controller.traits)):
         return Equilibria(law, reason)
-    bare = _bare(scenario)
+    bare = _bare(_as_acting(scenario))
     rest, level = Rest(bare), Rest(bare, gravity=0.0)
     within, wider = _starts_within(level), level.spread(_WIDER, seed=SEED)
     starts = Poses.joined(level.home, within, wider)
@@ -135,11 +137,20 @@ def analyse(scenario: Scenario) -> Equilibria:
 
 def _not_for(law: _core.LawTraits) -> str:
     """Return why a law is not analysed; empty for a transpose law, of an image spring and no pose error."""
+    if law.output == "pose":
+        return "it sends the legs to a pose that it filters, not by the transpose of the image Jacobian"
     if law.inverse and law.prior:
         return "it regulates a pose error with a prior (see drift)"
     if law.inverse:
         return "it follows the pseudo-inverse of the image Jacobian, not its transpose"
     return "it regulates an estimated pose, not the image" if law.pose_error else ""
+
+
+def _as_acting(scenario: Scenario) -> Scenario:
+    """Return the scenario without errors of a platform that only the legs' efforts meet, where these take positions."""
+    if not scenario.actuators.takes_positions:
+        return scenario
+    return scenario.updated({f"uncertainty.{of}": 0.0 for of in ("inertia", "coriolis", "gravity")})
 
 
 def _bare(scenario: Scenario) -> Scenario:
@@ -278,6 +289,10 @@ def _growth(rest: Rest, pose: Poses, slope: Array) -> float | None:
     step = 1e-3 * np.vstack([np.eye(6), -np.eye(6)]) * rest.unit  # m/s, rad/s: damping is linear, (15) has none
     around = rest.acceleration(pose.repeated(12), step) / rest.unit
     damping = -(around[:6] - around[6:]).T / 2e-3
+    scenario = rest.scenario
+    if scenario.actuators.takes_positions:
+        added = np.diag(np.broadcast_to(scenario.controller.virtual_platform.damping, 6))  # of the virtual platform
+        damping += np.linalg.solve(rest.probe.inertia(pose.quaternion)[0], added) * rest.unit / rest.unit[:, None]
     if not np.abs(damping).max() > 1e-9 * np.abs(slope).max() ** 0.5:
         return None
     modes = np.linalg.eigvals(np.block([[np.zeros((6, 6)), np.eye(6)], [-slope, -damping]]))

@@ -16,7 +16,7 @@ from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.reach import nearest_limit
 from hexservo.findings.analysis.scene import AT_HOME, WIDER, Scene, scene_of
-from hexservo.findings.analysis.tried import ROUNDS, bordering, quarters
+from hexservo.findings.analysis.tried import ROUNDS, bordering, outwards, quarters
 from hexservo.findings.part import Part
 from hexservo.run.batch import metrics_of, simulate_batch, whole
 from hexservo.run.goal_distance import inexact
@@ -87,19 +87,31 @@ class Timing:
     what: str  # period | latency
     prediction: str  # none | encoder
     other: float  # [s], the one that is held
+    own: float  # [s], of the scenario
     tried: Tried  # by time [s]
+    settles_later: bool | None  # whether `fails_at` settles in a longer run; None where there was none
     beyond: dict[float, LimitUse]  # by time [s], of those that fail for a leg beyond a limit alone
     overloads: dict[float, LimitUse]  # by time [s], of those that settle with forces beyond the legs' limit
 
     @property
     def settles_to(self) -> float | None:
-        """Largest time [s] below which everything that was tried settles; None where the smallest already fails."""
-        return bordering(self.tried)[0]
+        """Largest time [s] up to which everything that was tried settles, from `own` on, or from 0 where that fails.
+
+        None where `own` and the smallest fail.
+        """
+        return bordering(outwards(self.tried, self.own))[0]
 
     @property
     def fails_at(self) -> float | None:
-        """Smallest time [s] that was seen to fail; None where none was."""
-        return border(self.tried)[1]
+        """Smallest time [s] that was seen to fail, above `own` where that settles; None where none was."""
+        return bordering(outwards(self.tried, self.own))[1]
+
+    @property
+    def fails_below(self) -> float | None:
+        """Largest time [s] that was seen to fail below one that settles, `own`; None where none was."""
+        if not self.tried.get(self.own, False):
+            return None
+        return max((time for time, good in self.tried.items() if time < self.own and not good), default=None)
 
     @property
     def overloaded_from(self) -> float | None:
@@ -123,7 +135,7 @@ class LargestStart(Part):
     directions: tuple[Direction, ...] = ()  # the task's own first; those along which a goal is possible
     timings: tuple[Timing, ...] = ()
     duration: float = 0.0  # [s], of every run
-    longer: float = 0.0  # [s], of those of the smallest sizes that fail; 0: there were none
+    longer: float = 0.0  # [s], of those of the smallest sizes and times that fail; 0: there were none
     runs: int = 0
     starts_at_goal: bool = False  # home has the goal image, within `inexact`
     home_error: float = 0.0  # [px], largest |xi_d - xi| at home
@@ -177,7 +189,8 @@ def analyse(scenario: Scenario) -> LargestStart:
         scene, trial, goals.best.displacement if goals.reachable and not at_goal else None
     )
     timings, assumed = _timings(scenario, trial) if trial.task_settles else ((), "")
-    longer = trial.longer if any(d.settles_later is not None for d in directions) else 0.0
+    later = [*(way.settles_later for way in directions), *(timing.settles_later for timing in timings)]
+    longer = trial.longer if any(settles is not None for settles in later) else 0.0
     measured = scenario.metrics
     return LargestStart(
         law,
@@ -423,13 +436,14 @@ def _timings(scenario: Scenario, trial: _Trial) -> tuple[tuple[Timing, ...], str
         base = sampled.updated({"camera.prediction": prediction})
         for what in ("period", "latency"):
             other = base.camera.latency if what == "period" else frame_period(base)
-            found.append(Timing(what, prediction, other, *_times(base, what, trial)))
+            found.append(_timing(base, what, other, trial))
     return tuple(found), assumed
 
 
-def _times(base: Scenario, what: str, trial: _Trial) -> tuple[Tried, dict[float, LimitUse], dict[float, LimitUse]]:
+def _timing(base: Scenario, what: str, other: float, trial: _Trial) -> Timing:
     """Try one time of the camera: a grid, then between the last that settles and the first that fails, in ticks."""
     step = base.simulation.step
+    own = round((frame_period(base) if what == "period" else base.camera.latency) / step)
     tried: dict[int, bool] = {}
     beyond: dict[float, LimitUse] = {}
     overloads: dict[float, LimitUse] = {}
@@ -449,7 +463,13 @@ def _times(base: Scenario, what: str, trial: _Trial) -> tuple[Tried, dict[float,
     # A run of less than two periods shows nothing of them, and one shorter than the latency has no image.
     longest = base.simulation.duration / (2.0 if what == "period" else 1.0)
     shown = [tick for tick in _TICKS if tick * step < longest] or [1]
-    run(shown if what == "period" else [0, *shown])
+    run([own, *shown] if what == "period" else [0, own, *shown])
     for _ in range(ROUNDS):
-        run(quarters(tried))
-    return {tick * step: good for tick, good in tried.items()}, beyond, overloads
+        run(quarters(outwards(tried, own)))
+    times = {tick * step: good for tick, good in tried.items()}
+    found = Timing(what, base.camera.prediction, other, own * step, times, None, beyond, overloads)
+    if found.fails_at is None or found.fails_at in beyond or trial.duration == trial.longer:
+        return found
+    longer = base.updated({"simulation.duration": trial.longer})
+    settled = trial.ends({f"camera.{what}": np.array([found.fails_at])}, longer).settled
+    return replace(found, settles_later=bool(settled[0]))

@@ -12,6 +12,7 @@ from hexservo.findings.analysis.largest_start import Direction, LargestStart, Ti
 from hexservo.findings.analysis.words import finite, number, open_section
 from hexservo.findings.evidence import Column, Curves, Item, Line, Section, Table, Verdict, picked
 from hexservo.scenario.laws import LAWS
+from hexservo.scenario.wording import apart
 
 PAGE = "docs/analysis/largest_start.md"
 
@@ -83,11 +84,11 @@ def _sentences(found: LargestStart) -> list[str]:
             "fails (empirical)."
         )
     else:
+        factors = apart(own.settles_to, own.fails_at, 3)
         words.append(
             f"In the direction of the task errors settle within {found.duration:g} s and {_WITHIN} up to "
-            f"{own.settles_to:.3g} times the task ({_amount(own, own.settles_to)}, {own.error:.3g} px); "
-            f"{own.fails_at:.3g} times "
-            f"{_failure(found, own)} (empirical)."
+            f"{factors[0]} times the task ({_amount(own, own.settles_to)}, {own.error:.3g} px); "
+            f"{factors[1]} times {_failure(found, own)} (empirical)."
         )
     words.append(_others(found))
     words += _timing_words(found) or [f"{_task(found)} does not settle within {_WITHIN}: camera times were not tried."]
@@ -156,16 +157,6 @@ def _prediction(found: LargestStart, prediction: str) -> str:
     return "without prediction" if prediction == "none" else "with prediction by the encoders"
 
 
-def _failure(found: LargestStart, direction: Direction) -> str:
-    """Return what happens at the smallest size that fails, in a longer run too."""
-    if direction.fails_at in direction.beyond:
-        return direction.beyond[direction.fails_at].excess
-    if direction.settles_later is None:
-        return "does not"
-    later = f"within {found.longer:g} s"
-    return f"is slower, but settles {later}" if direction.settles_later else f"does not settle {later}"
-
-
 def _timing_words(found: LargestStart) -> list[str]:
     words = []
     for prediction in dict.fromkeys(t.prediction for t in found.timings):
@@ -173,14 +164,24 @@ def _timing_words(found: LargestStart) -> list[str]:
         for t in (t for t in found.timings if t.prediction == prediction):
             other = "latency" if t.what == "period" else "period"
             held = f"at a {other} of {1e3 * t.other:.3g} ms"
-            if t.settles_to is None:
-                parts.append(f"no {t.what} settles {held}")
+            within = f"settles within {found.duration:g} s {held}"
+            if t.settles_to is None and not any(t.tried.values()):
+                later = "" if t.settles_later is None else f" ({_milliseconds(t.fails_at)} {_failure(found, t)})"
+                parts.append(f"no {t.what} that was tried {within}{later}")
+            elif t.settles_to is None:
+                parts.append(f"a {t.what} of {_milliseconds(t.fails_at)} {_failure(found, t)} {held}, some larger do")
             elif t.fails_at is None:
-                parts.append(f"every {t.what} tried settles {held}, up to {1e3 * t.settles_to:.4g} ms")
+                since = "" if t.fails_below is None else f"from {_milliseconds(t.own)} on, "
+                parts.append(f"every {t.what} tried {since}{within}, up to {_milliseconds(t.settles_to)}")
             else:
                 parts.append(
-                    f"a {t.what} of {1e3 * t.settles_to:.4g} ms settles {held} and {1e3 * t.fails_at:.4g} ms "
-                    + _timing_failure(t)
+                    f"a {t.what} of {_milliseconds(t.settles_to)} {within} and {_milliseconds(t.fails_at)} "
+                    + _failure(found, t)
+                )
+            if t.fails_below is not None:
+                parts[-1] += (
+                    f" (one of {_milliseconds(t.fails_below)}, below the scenario's own, does not within "
+                    f"{found.duration:g} s)"
                 )
         words.append(f"{_task(found)} {found.assumed}{_prediction(found, prediction)}: {'; '.join(parts)}.")
     return words
@@ -193,11 +194,18 @@ def _task(found: LargestStart) -> str:
     return "The task itself," if found.timings else "The task itself"
 
 
-def _timing_failure(timing: Timing) -> str:
-    """Return by what the smallest time fails that does."""
-    if timing.fails_at not in timing.beyond:
-        return "does not settle"
-    return timing.beyond[timing.fails_at].excess
+def _milliseconds(time: float | None) -> str:
+    return f"{1e3 * (time or 0.0):.4g} ms"
+
+
+def _failure(found: LargestStart, tried: Direction | Timing) -> str:
+    """Return what happens at the smallest size or time that fails, in a longer run too."""
+    if tried.fails_at in tried.beyond:
+        return tried.beyond[tried.fails_at].excess
+    if tried.settles_later is None:
+        return "does not"
+    later = f"within {found.longer:g} s"
+    return f"is slower, but settles {later}" if tried.settles_later else f"does not settle {later}"
 
 
 def _items(found: LargestStart) -> list[Item]:
@@ -242,6 +250,8 @@ def _items(found: LargestStart) -> list[Item]:
                     (Column("the other one", "ms", ".4g"), lambda t: 1e3 * t.other),
                     (Column("settles up to", "ms", ".4g"), lambda t: _milli(t.settles_to)),
                     (Column("smallest that fails", "ms", ".4g"), lambda t: _milli(t.fails_at)),
+                    (Column(longer), lambda t: None if t.settles_later is None else "yes" if t.settles_later else "no"),
+                    (Column("fails below its own", "ms", ".4g"), lambda t: _milli(t.fails_below)),
                     (Column("limited by"), lambda t: None if t.limited_by is None else _LIMITING[t.limited_by]),
                     (
                         Column("settles with forces beyond the limit from", "ms", ".4g"),
@@ -292,7 +302,11 @@ def _data(found: LargestStart) -> dict[str, Any]:
         ],
         "timings": [
             {
-                **picked(t, "what prediction other settles_to fails_at limited_by overloaded_from"),
+                **picked(
+                    t,
+                    "what prediction other own settles_to fails_at settles_later fails_below limited_by "
+                    "overloaded_from",
+                ),
                 "times": sorted(t.tried),
                 "settled": [t.tried[time] for time in sorted(t.tried)],
             }

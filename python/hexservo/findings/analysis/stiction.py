@@ -127,6 +127,12 @@ def _kind(scene: Scene) -> tuple[Kind, str]:
     law = scenario.controller.law
     if law not in laws_with("switching"):
         return "none", f"The law {law} has no switching term: nothing holds the platform off its equilibrium."
+    if scenario.actuators.takes_positions:
+        return (
+            "open",
+            "Open: the legs of this machine follow positions (actuators.kind); K_v holds the virtual platform of the "
+            "controller, whose set is not analysed.",
+        )
     if scenario.camera.convention == "as_printed":
         return "open", "Open: a camera as printed has no points in space, so the set has no poses."
     if reason := scene.unusual_body:

@@ -18,6 +18,11 @@ def bordering(tried: Mapping[_Size, bool]) -> tuple[_Size | None, _Size | None]:
     return max(good, default=None), failed
 
 
+def outwards(tried: Mapping[_Size, bool], own: _Size) -> dict[_Size, bool]:
+    """Return what was tried from a size on that is good; all where it is not."""
+    return {size: good for size, good in tried.items() if size >= own or not tried.get(own, False)}
+
+
 def quarters(tried: Mapping[int, bool]) -> list[int]:
     """Return whole numbers a quarter, a half and three quarters of the way between both; empty without one of them."""
     good, failed = bordering(tried)

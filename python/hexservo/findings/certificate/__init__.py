@@ -130,7 +130,7 @@ def _not_certified(run: Replay) -> str:
     if run.scenario.actuators.takes_positions:
         return (
             "Not certified: the legs of this machine follow positions (actuators.kind). "
-            "The law moves a platform inside the controller; no wrench of it does work on the real one."
+            "The law commands where they go; no wrench of it does work on the platform."
         )
     scene = scene_of(run.scenario)
     reason = scene.unusual_body or scene.moving_target
@@ -145,9 +145,10 @@ def _outside_theorem(run: Replay) -> str:
     if law != THEOREM_LAW:
         return f"Does not apply: the theorem is of the law {THEOREM_LAW}, and this run's is {law}."
     if not run.continuous:
+        ledger = "; what sampling and delay put into the platform is in the energy ledger"
         return (
-            "Does not apply: the theorem is of continuous time, and this run is sampled; what sampling and delay put "
-            "into the platform is in the energy ledger."
+            "Does not apply: the theorem is of continuous time, and this run is sampled"
+            f"{'' if _not_certified(run) else ledger}."
         )
     if len(run.time) < 2:
         return "The run ended at its first sample."
