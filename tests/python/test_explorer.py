@@ -385,7 +385,7 @@ def test_a_run_that_is_pinned_takes_the_place_of_the_presets(visit: Visit) -> No
     gravity = "JSON.stringify(explorer.reference?.state.changes['uncertainty.gravity'])"
     pinned = visit.go("#paper&uncertainty.gravity=0.01,0.01,0.01,0.01,0.01,0.01")["metrics"]
     button.click()
-    page.wait_for_function(f"{gravity} === '[0.01,0.01,0.01,0.01,0.01,0.01]'")
+    page.wait_for_function(f"explorer.result.state.pinned && {gravity} === '[0.01,0.01,0.01,0.01,0.01,0.01]'")
     assert (heading.inner_text(), words.inner_text()) == ("pinned: the same", "")
     page.evaluate("explorer.shown = null; explorer.set('uncertainty.gravity', [0.02, 0.02, 0.02, 0.02, 0.02, 0.02])")
     page.wait_for_function("explorer.shown !== null")
@@ -401,14 +401,14 @@ def test_a_run_that_is_pinned_takes_the_place_of_the_presets(visit: Visit) -> No
     check()
     address = page.evaluate("explorer.shown")
     visit.go("#task-tilt")
-    page.wait_for_function("explorer.reference?.state.preset === 'task-tilt'")
+    page.wait_for_function("[explorer.reference, explorer.result].every(run => run?.state.preset === 'task-tilt')")
     assert heading.inner_text() == "preset"
     visit.go(address)
     page.wait_for_function("explorer.reference && explorer.result.ghost")
     check()
     assert "-changed" in page.evaluate("explorer.yaml()")
     button.click()
-    page.wait_for_function("explorer.reference && !explorer.state.pinned && explorer.result.ghost")
+    page.wait_for_function("explorer.reference && !explorer.result.state.pinned && explorer.result.ghost")
     assert (heading.inner_text(), words.inner_text()[:8]) == ("preset", "Preset: ")
     assert page.evaluate("explorer.reference.state.changes") == {}
 
