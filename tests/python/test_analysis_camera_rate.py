@@ -866,7 +866,9 @@ def test_the_part_of_composite_30hz() -> None:
 
 def test_the_map_shows_the_borders() -> None:
     """Each point of the map is on the side of 1 on which the loop at these clocks is."""
-    scenario = hs.load_scenario("paper").updated({"controller.law": "kelly"})
+    camera = {"period": 0.02, "latency": 0.03, "latency_jitter": 0.01}
+    changes = {"simulation.mode": "sampled", "controller.law": "kelly", "camera": camera}
+    scenario = hs.load_scenario("paper").updated(changes)
     found = camera_rate.analyse(scenario)
     assert found.at_rest is not None
     assert found.periods is not None
@@ -877,6 +879,16 @@ def test_the_map_shows_the_borders() -> None:
         at = Clock(round(found.periods[column] / tick), round(found.latencies[row] / tick))
         assert (found.radii[row, column] > BORDER) == (found.at_rest.free.growing(at) > 0)
     assert np.nanmin(found.radii) < 1.0 < np.nanmax(found.radii)
+    section = found.section()
+    (heat,) = (item for item in section.items if isinstance(item, HeatMap))
+    np.testing.assert_allclose(heat.x, 1e3 * found.periods)
+    np.testing.assert_allclose(heat.y, 1e3 * found.latencies)
+    assert [(line.x.tolist(), line.y.tolist()) for line in heat.lines] == [([20.0], [30.0])]
+    words = " ".join(section.sentences)
+    assert "The longest one with jitter, 40 ms, is" in words
+    assert len(found.starts) == 2
+    for run in found.starts:
+        assert f"px, legs {1e3 * run.travel:.3g} mm)" in words
 
 
 def test_a_scenario_in_continuous_mode_is_analysed_as_sampled_and_marked() -> None:

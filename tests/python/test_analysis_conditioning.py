@@ -18,7 +18,7 @@ from hexservo.findings.analysis.goal import TOLERANCE, Goals, _turn_rate, find_g
 from hexservo.findings.analysis.placement import DEPTH_SHARE, image_radius, in_circle, place, placements
 from hexservo.findings.analysis.scene import Scene, View, scene_of
 from hexservo.findings.analysis.words import along, displacement_words, motion_in_words, number, numbers
-from hexservo.findings.evidence import Curves
+from hexservo.findings.evidence import Curves, Table
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.pixels import points_outside
 
@@ -369,6 +369,13 @@ def test_the_data_are_the_numbers_of_the_findings(paper: hs.Scenario) -> None:
     assert data["goal_reachable"] is True
     assert len(data["placements"]) == 6
     assert data["placements"][-1]["worst_per_px"] == analysis.conditioning.placements[-1].worst
+    own, best = (1e3 * analysis.conditioning.placements[place].worst for place in (0, -1))
+    (section,) = analysis.sections()
+    (sentence,) = (each for each in section.sentences if "other placements of the points" in each)
+    assert f"{number(own / best)} times better ({number(own)} mm per px originally, {number(best)} mm with" in sentence
+    (table,) = (each for each in section.items if each.title == "Other placements of the points, from home")
+    assert isinstance(table, Table)
+    assert table.rows[-1][-2:] == pytest.approx((best, own / best))
 
 
 def test_curves_of_placements_are_of_home_whatever_the_start(paper: hs.Scenario) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import hexservo as hs
+from hexservo import _core
 from hexservo.findings.analysis import equilibria
 from hexservo.findings.analysis.equilibria import Equilibrium
 from hexservo.findings.analysis.goal import SHOWN, find_goals
@@ -15,6 +16,7 @@ from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.rest import Rest
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.analysis.words import direction_words, number
+from hexservo.findings.evidence import Table
 from hexservo.scenario.parameters import core_parameters
 
 
@@ -124,6 +126,14 @@ def test_the_papers_goal_is_the_only_one(paper: hs.Scenario) -> None:
     assert goal.reachable
     assert found.section().verdict == "good"
     assert (found.starts_within, found.starts_wider) == (64, 64)
+    words = found.section().sentences[0]
+    assert "within the stroke of 17 mm and 64 in a wider region (350 mm either way" in words  # 0.7 of 0.5 m
+    table = found.section().items[0]
+    assert isinstance(table, Table)
+    legs = _core.Hexapod(core_parameters(paper).robot)
+    lengths = legs.leg_lengths(np.add(legs.home_position, by_hand), legs.home_quaternion)
+    travel = table.rows[0][[column.title for column in table.columns].index("largest leg travel")]
+    assert travel == pytest.approx(1e3 * np.abs(np.subtract(lengths, legs.home_lengths)).max(), rel=1e-7)
 
 
 @pytest.mark.parametrize(("depth", "stability"), [(0.3, "attracting"), ([0.3, -0.3, -0.3, 0.3], "saddle")])

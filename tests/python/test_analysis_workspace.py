@@ -165,6 +165,14 @@ def test_joint_limits_count_in_verdict_sentences_and_map(paper: hs.Scenario) -> 
         middle = len(found.map_x) // 2
         assert found.map_left[middle, middle] == pytest.approx(1.0, abs=1e-9)
         assert (found.map_left <= free.map_left + 1e-12).all()
+    table = section.items[0]
+    assert isinstance(table, Table)
+    heads = [column.title for column in table.columns]
+    for row, place in zip(table.rows, (found.start, found.goal), strict=False):
+        assert place is not None
+        assert place.tilts is not None
+        for side, tilts in zip(("base", "platform"), place.tilts, strict=True):
+            assert row[heads.index(f"largest tilt at the {side}")] == pytest.approx(1e3 * max(tilts))
     assert any("the base joint of leg" in sentence for sentence in section.sentences)
     assert any("the straight path to the goal leaves the legs' limits" in sentence for sentence in section.sentences)
 
@@ -181,7 +189,9 @@ def test_speeds_at_the_speed_limit_by_finite_differences(paper: hs.Scenario) -> 
         ends = [scene.leg_travel(scene.home.moved(sign * step * unit)) for sign in (1.0, -1.0)]
         assert np.abs(ends[0] - ends[1]).max() / (2 * step) * speed == pytest.approx(limit, rel=1e-7)
     table = next(item for item in found.section().items if "speed limit of the legs" in item.title)
+    assert isinstance(table, Table)
     assert "20 mm/s" in (table.note or "")
+    np.testing.assert_allclose(np.array(table.rows[0][1:], dtype=float), 1e3 * speeds)
 
 
 @pytest.mark.parametrize(("preset", "force", "singularity"), [("micro", 0.1337, 0.9576), ("cubic", 0.1697, 0.7962)])
@@ -326,7 +336,13 @@ def test_the_findings_name_the_leg_and_its_numbers(found: workspace.Workspace, p
     assert f"leg {leg + 1} is {number(1e3 * abs(found.goal.travel[leg]))} mm" in first
     data = hs.analyse(paper, ["workspace"]).to_dict()["workspace"]
     assert data["goal"]["stroke_left"] == pytest.approx(paper.robot.stroke - np.abs(found.goal.travel).max())
-    ticks = found.section().items[2]
+    places, reach, ticks = found.section().items
+    assert isinstance(places, Table)
+    assert isinstance(reach, Table)
+    assert [row[1:7] for row in places.rows[:2]] == [tuple(1e3 * p.travel) for p in (found.start, found.goal)]
+    for row, direction in zip(reach.rows, np.eye(6), strict=True):
+        ways = [1e3 * workspace.reach(found.scene, sign * direction).distance for sign in (1.0, -1.0)]
+        assert row[2:4] == pytest.approx(ways)
     assert list(found.map_x) == sorted(found.map_x)
     assert all(one < two for one, two in pairwise(found.map_y))
     assert ticks.page == "docs/analysis/workspace.md"

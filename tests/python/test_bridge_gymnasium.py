@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import warnings
 from typing import Any
@@ -11,6 +12,7 @@ import pytest
 
 import hexservo as hs
 from hexservo import _core
+from hexservo.bridges.environment import _following
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.pixels import has_pixels
 
@@ -247,6 +249,26 @@ def test_twists_are_followed_wherever_the_centre_of_mass_is(centre_of_mass: list
             observed, *_ = env.step([wanted])
             followed = np.array(wanted) * env.action_scale * (1.0 - 0.9**ticks)
             np.testing.assert_allclose(observed[0, -6:], followed, rtol=0, atol=off)
+
+
+def test_the_servo_of_twists_takes_coriolis_terms_away(scenario: hs.Scenario) -> None:
+    """A tenth of the difference in a tick of 1 ms: 100 1/s of it, also of rates about axes of unequal inertia."""
+    exact = {f"uncertainty.{name}": 0.0 for name in ("inertia", "coriolis", "gravity")}
+    settings = core_parameters(scenario.updated({"robot.inertia": [1e-3, 2e-3, 3e-3], **exact}))
+    probe, rates = _core.Probe(settings), np.array([[0.0, 0.0, 0.0, 1.0, 2.0, 3.0]])
+    home, upright = np.array([scenario.robot.home_position]), np.array([[1.0, 0.0, 0.0, 0.0]])
+    wrench = _following(probe, np.zeros((1, 6)), {"quaternion": upright, "twist": rates}, 1e-3)
+    found = probe.acceleration(home, upright, rates, wrench + settings.body.weight(upright[0]))
+    np.testing.assert_allclose(found, -100.0 * rates, rtol=1e-12, atol=1e-9)
+
+
+def test_the_scalar_part_of_an_observed_attitude_is_not_negative(scenario: hs.Scenario) -> None:
+    """A turn by 3.3 rad about z has w = cos(1.65) < 0; the other sign of all four is the same attitude."""
+    turned = {"simulation.start.pose": [0.0, 0.0, 0.0, 0.0, 0.0, 3.3]}
+    env = hs.bridges.gymnasium(scenario.updated(turned), 1)
+    observed, _ = env.reset(seed=0)
+    expected = [-math.cos(1.65), 0.0, 0.0, -math.sin(1.65)]
+    np.testing.assert_allclose(observed[0, 11:15], expected, rtol=0, atol=1e-6)
 
 
 def test_statistics_of_gymnasium_wrap_it(scenario: hs.Scenario) -> None:

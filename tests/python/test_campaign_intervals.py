@@ -28,6 +28,7 @@ from hexservo.campaigns.result import summary_of
 from hexservo.campaigns.store import new_record
 from hexservo.campaigns.words import summary_section
 from hexservo.findings.evidence import Section
+from hexservo.scenario.wording import above
 
 MIXTURES = [JEFFREYS, Mixture(2.0, 5.0)]
 
@@ -288,6 +289,25 @@ def test_runs_with_one_noise_are_never_good(failures: int, until: dict[str, floa
     own = judged(0, 100, None, "composite-30hz", seed="each")
     assert (own.verdict, own.data["common_noise"]) == ("good", None)
     assert not any("noise" in sentence for sentence in own.sentences)
+
+
+@pytest.mark.parametrize(
+    ("failures", "runs", "until", "sentence"),
+    [
+        (300, 1000, {"width_below": 0.5}, "The interval is {width} wide, not more than 0.5, as the campaign was to"),
+        (0, 30, {"probability_below": 0.2}, "It is below 0.2, as the campaign was to decide."),
+        (0, 10, {"probability_below": 0.2}, "Whether it is below 0.2 is not decided yet."),
+        (100, 300, {"probability_below": 0.2}, "It is above 0.2: the goal cannot be reached."),
+    ],
+)
+def test_what_the_interval_decides(failures: int, runs: int, until: dict[str, float], sentence: str) -> None:
+    low, high = anytime_interval(failures, runs)
+    assert judged(failures, runs, until).sentences[1].startswith(sentence.format(width=above(high - low)))
+
+
+@pytest.mark.parametrize(("settled", "verdict"), [(50, "good"), (51, "warning")])
+def test_no_good_verdict_where_most_runs_are_settled_at_the_start(settled: int, verdict: str) -> None:
+    assert summary_section({**judged(0, 100).data, "settled_at_start": settled}).verdict == verdict
 
 
 def test_a_width_that_is_not_reached_is_said() -> None:

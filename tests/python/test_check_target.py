@@ -75,9 +75,10 @@ def test_the_extremes_of_a_sinusoid_and_of_a_recording_count(machine: hs.Scenari
             assert bool(about_target(machine.updated({"target.motion": motion}))) == warned, motion["kind"]
 
 
-def test_a_goal_that_pointing_does_not_meet(machine: hs.Scenario) -> None:
+@pytest.mark.parametrize("weights", [[1.0] * 4, [8.0, 1.0, 1.0, 1.0]])
+def test_a_goal_that_pointing_does_not_meet(machine: hs.Scenario, weights: list[float]) -> None:
     """Against a run, within the goal's tilt of 18 mrad: the law aims at a point of the mean depth."""
-    scenario = machine.updated({"controller.tracking.follow": "direction", **QUIET})
+    scenario = machine.updated({"controller.tracking.follow": "direction", "target.weights": weights, **QUIET})
     (line,) = about_target(scenario, "controller.tracking.follow: direction leaves")
     (left,) = re.findall(r"leaves ([\d.]+) px at the goal, more than metrics\.band \(2 px\)", line)
     rests = float(np.abs(hs.simulate(scenario).feature_error[-1]).max())
@@ -105,7 +106,12 @@ def test_a_law_of_the_image_may_take_any_pose_with_the_goal_image() -> None:
 @pytest.mark.parametrize(
     ("frequency", "phase", "words"),
     [
-        (12.5, 0.0, "of 12.5 Hz a frame every 80 ms shows 0 of the amplitude"),
+        (
+            12.5,
+            0.0,
+            "of 12.5 Hz a frame every 80 ms shows 0 of the amplitude, since it is near a multiple of half the frame "
+            "rate, 6.25 Hz;",
+        ),
         (6.25, 0.0, "of 6.25 Hz a frame every 80 ms shows 0 of the amplitude"),
         (6.25, 0.2, "shows 0.199 of the amplitude"),  # sin(0.2)
         (6.25, 1.5, ""),

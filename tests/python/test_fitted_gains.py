@@ -483,6 +483,29 @@ def test_the_force_at_the_start_is_that_of_a_run(paper: hs.Scenario) -> None:
     assert "do not carry the weight" in warnings_of(heavy)[0]
 
 
+def test_the_twist_at_the_start_counts_in_the_force(paper: hs.Scenario) -> None:
+    twist = {"simulation.start.twist": [0.02, 0.0, 0.0, 0.0, 0.1, 0.0], "simulation.duration": 0.01}
+    moving, resting = (with_auto(paper, "kelly", 40.0).updated(changes) for changes in (twist, {}))
+    forces = [sum(start_forces(scene_of(each))) for each in (moving, resting)]
+    np.testing.assert_allclose(forces[0], hs.simulate(moving).leg_forces[0], rtol=1e-9)
+    assert np.abs(forces[0] - forces[1]).max() > 0.3  # [N]
+
+
+def test_a_law_that_pushes_against_the_weight_has_the_weight_besides(paper: hs.Scenario) -> None:
+    """Down, along the weight: legs that carry less than nothing of it have what the limit leaves, and the weight."""
+    goal = {"target.desired_features": hs.project(paper, [0.0, 0.0, 0.004, 0.0, 0.0, 0.0]).tolist()}
+    fast = with_auto(paper, "pbvs", 40.0).updated({**goal, "simulation.duration": 0.01})
+    weight, law = start_forces(scene_of(fast))
+    leg = int(np.abs(law).argmax())
+    assert weight[leg] * law[leg] < 0.0
+    (sentence,) = warnings_of(fast, "controller.pbvs.auto.bandwidth: 40 Hz needs")
+    most = float(sentence.rpartition("enough for ")[2].removesuffix(" Hz"))
+    limit = fast.robot.force_limit
+    for bandwidth, within in ((most, True), (most + 0.2, False)):  # rounded down by less than 0.1 Hz
+        run = hs.simulate(fast.updated({"controller.pbvs.auto.bandwidth": bandwidth}))
+        assert bool(np.abs(run.leg_forces[0]).max() <= limit) == within
+
+
 @pytest.mark.parametrize("written", [{}, {"stiffer": 2.0}, {"auto.bandwidth": 4.0, "stiffer": 2.0}], ids=str)
 @pytest.mark.parametrize("law", LAWS)
 def test_gains_that_the_legs_do_not_allow_are_warned_of(

@@ -242,6 +242,13 @@ def test_reachable_counts_joint_limits(paper: hs.Scenario) -> None:
         tilts = [np.arccos(np.minimum(c / lengths, 1.0)) / j for c, j in zip(cosines, JOINTS, strict=True)]
         return np.array([travel, *tilts])
 
+    def smallest_singular_value(pose: Array) -> float:
+        arms = Rotation.from_rotvec(pose[3:]).apply(hexapod.platform_joints)
+        legs = hexapod.home_position + pose[:3] + arms - hexapod.base_joints
+        units = legs / np.linalg.norm(legs, axis=1)[:, None]
+        wrenches = np.hstack([units, np.cross(arms, units) / hexapod.platform_radius])
+        return float(np.linalg.svd(wrenches, compute_uv=False).min())
+
     kinds = set()
     for _ in range(40):
         pose = random.normal(size=6) * np.array([6e-3, 6e-3, 6e-3, 0.06, 0.06, 0.06])
@@ -252,6 +259,7 @@ def test_reachable_counts_joint_limits(paper: hs.Scenario) -> None:
         assert found.limit == ("stroke", "base_joint", "platform_joint")[row]
         assert found.leg == leg + 1
         assert found.margin == pytest.approx(limit * (1.0 - shares[row, leg]), abs=1e-9)
+        assert found.singularity == pytest.approx(smallest_singular_value(pose), rel=1e-9)
         kinds.add((found.limit, found.within))
         assert used(found.nearest).max() <= 1.0 + 1e-8
         if not found.within:
@@ -261,7 +269,21 @@ def test_reachable_counts_joint_limits(paper: hs.Scenario) -> None:
             assert all(used(p).max() > 1.0 for p in better)
     assert {kind for kind, _ in kinds} == {"stroke", "base_joint", "platform_joint"}
     assert {within for _, within in kinds} == {True, False}
-    assert "base joint of leg" in str(hs.reachable(scenario, [0.03, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    aside = np.array([0.03, 0.0, 0.0, 0.0, 0.0, 0.0])
+    beyond, sentence = hs.reachable(scenario, aside), str(hs.reachable(scenario, aside))
+    tilt = JOINTS[0] * (used(aside)[1].max() - 1.0)
+    away = np.linalg.norm((beyond.nearest - aside) * np.repeat([1.0, hexapod.platform_radius], 3))
+    assert f"the base joint of leg {beyond.leg} would be {1e3 * tilt:.3g} mrad beyond its limit" in sentence
+    assert f"the nearest pose within is {1e3 * away:.3g} mm away" in sentence
+
+
+def test_the_limit_that_is_used_most_is_that_of_the_largest_share(paper: hs.Scenario) -> None:
+    """16 of 17 mm are more than 0.1 of 0.3 rad, and 1 of 17 mm are less."""
+    scenario = paper.updated({"robot.joint_limit": [0.3, 0.3]})
+    for travel, tilts, kind in ((0.016, (0.1, 0.1), "stroke"), (0.001, (0.1, 0.2), "platform_joint")):
+        values = (travel, math.nan, *tilts)
+        use = most_used(scenario, dict(zip(("peak_leg_excursion", *METRICS), values, strict=True)))
+        assert use.limit.kind == kind
 
 
 def test_check_finds_goals_and_starts_beyond(paper: hs.Scenario) -> None:

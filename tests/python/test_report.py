@@ -252,8 +252,11 @@ def test_charts_show_the_samples_of_the_run(text: str, result: hs.Result) -> Non
     assert weight == pytest.approx(-9.8 * 0.06)
     table = charts["Output term of each rule"]["data"][0]
     assert table["text"][0] == ["NB", "NB", "NB", "NB", "NM", "NS", "ZE"]
-    ends = charts["Paths of the features"]["data"][5]
-    np.testing.assert_allclose(numbers(ends["x"]), result.features[-1, ::2], rtol=1e-6)
+    for trace, name, sample in zip(
+        charts["Paths of the features"]["data"][4:6], ("start", "end of the run"), (0, -1), strict=True
+    ):
+        assert trace["name"] == name
+        np.testing.assert_allclose(numbers(trace["x"]), result.features[sample, ::2], rtol=1e-6)
 
 
 def test_the_chart_of_forces_says_what_holds_the_weight() -> None:
@@ -268,6 +271,15 @@ def test_the_chart_of_forces_says_what_holds_the_weight() -> None:
         assert words in str(drawn[title][0])
         assert "Force along x and y, in B" in str(drawn[title][0])
         assert "z points" not in "".join(map(str, drawn["Motion of the platform"]))
+
+
+def test_the_attitude_of_the_base_is_drawn_in_milliradians() -> None:
+    rotation = {"kind": "sinusoid", "amplitude": [0.01, 0.0, 0.0], "frequency": 5.0, "phase": math.pi / 2.0}
+    changes = {"simulation.mode": "sampled", "simulation.duration": 0.1}
+    run = hs.simulate(hs.load_scenario("paper").updated({**changes, "base_motion.rotation": rotation}))
+    charts = specs("".join(str(each) for _, drawn in figures(run) for each in drawn))
+    about_x = charts["Attitude of the base in the world: axis times angle"]["data"][0]
+    assert numbers(about_x["y"])[0] == pytest.approx(10.0, rel=1e-6)
 
 
 @pytest.mark.parametrize("what", ["law", "switched off", "custom"])
@@ -616,6 +628,15 @@ def test_a_moving_target_is_where_it_is_at_each_instant(name: str, changes: dict
         seen, depth = _core.take_image(camera, result.position[sample], result.quaternion[sample], in_mount)
         np.testing.assert_allclose(seen, result.features[sample], atol=1e-8)
         np.testing.assert_allclose(depth, result.depth[sample], atol=1e-12)
+
+
+def test_the_numbers_beside_the_view_are_from_home_in_their_units() -> None:
+    start = {"simulation.start.pose": [0.001, 0.0, 0.0, 0.02, 0.0, 0.0], "simulation.duration": 0.1}
+    result = hs.simulate(hs.load_scenario("paper").updated(start))
+    plain = scene(result).to_plain()
+    np.testing.assert_allclose(numbers(plain["displacement"])[:3], [1.0, 0.0, 0.0], rtol=0, atol=1e-6)  # [mm]
+    np.testing.assert_allclose(numbers(plain["turn"])[:3], [20.0, 0.0, 0.0], rtol=0, atol=1e-5)  # [mrad]
+    assert numbers(plain["error"])[0] == pytest.approx(np.abs(result.feature_error[0]).max(), rel=1e-6)  # [px]
 
 
 def test_the_image_is_where_the_camera_is_mounted() -> None:

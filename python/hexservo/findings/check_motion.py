@@ -63,11 +63,13 @@ def _of_gravity(scenario: Scenario) -> Iterator[str]:
     motion = scenario.base_motion
     if motion.kind != "recorded" or motion.samples is None or motion.sample_period is None:
         return
-    mean = np.mean(motion.samples, axis=0)
+    samples = np.asarray(motion.samples, dtype=float)
+    between = (samples[1:] + samples[:-1]) / 2.0  # means of the straight lines from sample to sample
+    mean = between.mean(axis=0)
     size = float(np.linalg.norm(mean))
     if size <= _MEAN_ACCELERATION:
         return
-    duration = len(motion.samples) * motion.sample_period
+    duration = len(between) * motion.sample_period
     yield (
         f"base_motion.samples: their mean acceleration is {_vector(mean)} m/s^2, by which the base gains "
         f"{number(size * duration)} m/s in {quantity(duration, 's')}; check the signs and "
