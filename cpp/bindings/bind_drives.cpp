@@ -63,6 +63,7 @@ double least_substeps(const Settings& settings) {
 void bind_drives(py::module_& m) {
   m.attr("MOTOR_STEPS") = kMotorSteps;
   m.attr("FEEDBACK_EASE") = kEase;
+  m.attr("STROKE_TOLERANCE") = kStrokeTolerance;
   m.attr("LONGEST_FRAME_GAP") = kLongestFrameGap;
   m.attr("MAX_ACTUATOR_DELAY") = kMaxActuatorDelay;
   m.def("drive_response", &drive_response, py::arg("commands"), py::arg("position"), py::arg("rate"), py::arg("period"),

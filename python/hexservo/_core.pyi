@@ -15,6 +15,7 @@ ROBOT_PRESETS: tuple[str, ...]
 TERM_CENTRES: tuple[float, ...]
 MOTOR_STEPS: int
 FEEDBACK_EASE: float
+STROKE_TOLERANCE: float
 LONGEST_FRAME_GAP: float
 MAX_ACTUATOR_DELAY: int
 OFF_THE_LINE: float

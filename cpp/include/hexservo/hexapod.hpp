@@ -201,6 +201,21 @@ struct Hexapod {
   }
 };
 
+/// How far beyond its stroke a leg may be and still be at its end: rounding, as a share of the stroke.
+inline constexpr double kStrokeTolerance = 1e-9;
+
+/// Travel of legs from its middle [m]; of one beyond its stroke by rounding alone that is the stroke.
+template <class S>
+Vector6<S> leg_travel(const Vector6<S>& lengths, const Vector6<S>& middle, const S& stroke) noexcept {
+  using std::abs;
+  Vector6<S> travel = lengths - middle;
+  for (int i = 0; i < 6; ++i) {
+    const Mask<S> within = abs(travel(i)) <= S(1.0 + kStrokeTolerance) * stroke;
+    travel(i) = select(within, clip(travel(i), S(-stroke), stroke), travel(i));
+  }
+  return travel;
+}
+
 /// Where leg travel is counted from, and where a run starts unless its scenario has another start.
 template <class S>
 Pose<S> home_pose(const Hexapod<S>& hexapod) {

@@ -146,7 +146,7 @@ class LoopRecord {
 
   /// Stops lanes with a leg beyond its stroke, its speed limit or its joint limit.
   void stop_at_limit(double time, const BodyMotion<S>& body, const Vector6<S>& lengths) noexcept {
-    stop_beyond(StopCause::leg_limit, lengths - mid_lengths_, stroke_);
+    stop_beyond(StopCause::leg_limit, leg_travel<S>(lengths, mid_lengths_, stroke_), stroke_);
     const LegWatch<S>& watch = metrics_->watch();
     if (!watch.acts()) return;
     const LegMotion<S> motion = watch.at(position_of(body), quaternion_of(body), twist_of(body));

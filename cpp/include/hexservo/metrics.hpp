@@ -401,7 +401,8 @@ class MetricsAccumulator {
     if (groups_.has(MetricGroup::excursions)) features_.add(sample.feature_error, take);
     if (!legs) return;
     if (groups_.has(MetricGroup::leg_lengths))
-      stroke_.add(time, sample.leg_lengths - hexapod_.mid_lengths, hexapod_.stroke, take);
+      stroke_.add(time, leg_travel<S>(sample.leg_lengths, hexapod_.mid_lengths, hexapod_.stroke), hexapod_.stroke,
+                  take);
     if (groups_.has(MetricGroup::leg_forces)) force_.add(time, sample.leg_forces, hexapod_.force_limit, take);
     if (watch_.acts() && groups_.has(MetricGroup::leg_motion)) add_leg_motion(time, sample, take);
   }

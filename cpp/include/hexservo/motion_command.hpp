@@ -53,9 +53,6 @@ template <class S, int N>
   for (int i = 0; i < N; ++i) carried.usable = carried.usable & (carried.image.depth(i) < S(0.0));
 }
 
-/// How far beyond its stroke a leg may be and still be at its end: rounding, as a share of the stroke.
-inline constexpr double kStrokeTolerance = 1e-9;
-
 /// Leg rates that the legs can have over a period [m/s].
 /// @param rates as wanted; @param before of the period before; @param legs where they are
 template <class S, int N>

@@ -7,6 +7,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
+from hexservo import _core
 from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene, scene_of
@@ -65,7 +66,10 @@ class StartAndGoal:
 def leg_margin(travel: Array, stroke: float, unit: str = "m") -> LegMargin:
     """Return the leg nearest to its limit, of travels (6,) from the middle of the travel, in `unit`."""
     leg = int(np.abs(travel).argmax())
-    return LegMargin(leg + 1, float(travel[leg]), float(stroke - abs(travel[leg])), unit=unit)
+    left = float(stroke - abs(travel[leg]))
+    if -_core.STROKE_TOLERANCE * stroke <= left < 0.0:  # beyond by rounding alone: at its end
+        left = 0.0
+    return LegMargin(leg + 1, float(travel[leg]), left, unit=unit)
 
 
 def nearest_limit(scene: Scene, pose: Poses) -> LegMargin:
