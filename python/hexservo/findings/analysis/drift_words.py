@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from hexservo.findings.analysis.drift import GRID, LARGEST, SIZES, Drift, Pattern, Size
+from hexservo.findings.analysis.drift import GRID, LARGEST, SIZES, Drift
+from hexservo.findings.analysis.drift_patterns import Pattern, Size
 from hexservo.findings.analysis.words import direction_words, finite, open_section
 from hexservo.findings.evidence import Column, Curves, Item, Line, Section, Table, Verdict, picked
 
@@ -74,7 +75,7 @@ def _sentences(found: Drift) -> list[str]:
             f"In {found.springs} of the axes no pose error drives the platform: nothing drifts there, and they are "
             "excluded. No end of the drift is given."
         )
-    if found.late > 0.0 and max(own.frequency, worst.frequency) > 0.0:
+    if own.late_alone or worst.late_alone:
         words.append("Depth errors make eigenvalues of the loop matrix large: with a late image these modes oscillate.")
     moves = "drifts away or oscillates" if found.late > 0.0 else "drifts away"
     limits = [limit for limit in (found.limit_start, found.limit_goal) if limit is not None]
