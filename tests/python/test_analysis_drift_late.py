@@ -12,6 +12,7 @@ from scipy.linalg import expm
 import hexservo as hs
 from hexservo.findings.analysis import drift
 from hexservo.findings.analysis.drift import Drift
+from hexservo.findings.analysis.drift_loop import loop_under_errors
 from hexservo.findings.analysis.drift_patterns import Pattern
 from hexservo.findings.analysis.drift_rates import Lateness, exponential, late_rates
 
@@ -180,3 +181,51 @@ def test_depth_errors_of_one_per_cent_grow_by_a_late_image_alone() -> None:
     assert negative.slowest < 0.0
     assert large.late_alone
     assert not negative.late_alone
+
+
+# ---- Legs that take forces: the linear loop decides ------------------------------------------------------------------
+
+SIGNS = np.array([1.0, -1.0, 1.0, -1.0])
+FORCES = {"controller.law": "resolved_rate", "camera.period": 0.1, "camera.latency": 0.1, "sensors.resolution": 0.0}
+
+
+def with_forces(size: float) -> hs.Scenario:
+    """Its written gains have a mode of 0.25 Hz that decays at 0.12 1/s: not fast beside rates of 2 1/s."""
+    return hs.load_scenario("pi-h824").updated({**FORCES, "uncertainty.depth": (size * SIGNS).tolist()})
+
+
+@pytest.mark.slow
+def test_a_loop_that_is_no_faster_than_the_drift_decides() -> None:
+    """All rates are positive up to 0.61 %, and runs oscillate away beyond 0.40 %."""
+    found = drift.analyse(with_forces(0.005))
+    assert found.loop is not None
+    assert found.loop.limit is not None
+    assert found.limit_start is not None
+    assert own_of(found).slowest > 0.0
+    assert own_of(found).errors.max() < found.limit_start
+    section = found.section()
+    assert section.verdict == "bad"
+    assert not any("drifts away or oscillates" in text for text in section.sentences)
+    assert sum("camera_rate" in text for text in section.sentences) == 2
+    for share in (0.92, 1.08):
+        scenario = with_forces(share * found.loop.limit)
+        home = np.array(hs.project(scenario, np.zeros(6))).ravel().tolist()
+        scenario = scenario.updated({"camera.noise": 0.0, "target.desired_features": home})
+        gone = distances(scenario, np.array([2e-5, 2e-5, 0.0, -5e-5, 5e-5, 0.0]), 40.0)
+        ticks = round(4.0 / scenario.simulation.step)
+        assert (gone[-ticks:].max() > gone[2 * ticks : 3 * ticks].max()) == (share > 1.0)
+
+
+def test_the_loop_is_stable_with_small_errors_and_grows_with_larger_ones() -> None:
+    """Its border is 0.40 %: with half of that nothing grows."""
+    found = loop_under_errors(with_forces(0.0), 0.005 * SIGNS, SIGNS, 0.002)
+    assert found is not None
+    assert not found.own.stable
+    assert found.own.rate > 0.0
+    assert found.limit is None
+    assert not found.grows_at(0.002)
+
+
+def test_a_loop_that_is_not_linearised_is_stated_not_to_be() -> None:
+    scenario = with_forces(0.0).updated({"uncertainty.latency": 0.001})
+    assert loop_under_errors(scenario, 0.0 * SIGNS, SIGNS, 0.002) is None

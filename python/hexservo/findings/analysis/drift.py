@@ -9,7 +9,8 @@ from typing import TypeAlias
 import numpy as np
 
 from hexservo import _core
-from hexservo.findings.analysis.drift_patterns import Pattern, Size
+from hexservo.findings.analysis.drift_loop import LoopUnderErrors, loop_under_errors
+from hexservo.findings.analysis.drift_patterns import Pattern, Size, signs_of
 from hexservo.findings.analysis.drift_rates import late_rates, lateness
 from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.poses import Poses, without_sign
@@ -56,6 +57,13 @@ class Drift(Part):
     springs: int = 0  # axes without a drive, where nothing drifts: the rates are those of the others
     leg_unit: str = "mm"  # a thousandth of the unit of leg travel
     small_shift: float = 0.0  # [m], of motions shown as examples
+    takes_positions: bool = False
+    loop: LoopUnderErrors | None = None  # with a late image and legs that take forces, where it applies
+
+    @property
+    def finds_oscillations(self) -> bool:
+        """Whether oscillations by a late image are found: by the rates, or by the loop of legs that take forces."""
+        return self.late > 0.0 and (self.takes_positions or self.loop is not None)
 
 
 def analyse(scenario: Scenario) -> Drift:
@@ -320,7 +328,7 @@ class _Worker:
             growing = next((rate for rate in (rates[i], goal_rates[i]) if rate.real <= 0.0), 0j)
             found.append(
                 Pattern(
-                    "(" + ",".join("+" if part >= 0 else "-" for part in error) + ")",
+                    signs_of(error),
                     error,
                     float(values[i, least].real),
                     float(at_goal[i]),
@@ -417,6 +425,15 @@ class _Worker:
                 high = middle
         return low
 
+    def loop(self, own: Array, largest: float) -> LoopUnderErrors | None:
+        """Return the linear loop with the scenario's own errors (p,), and up to a size of the pattern of largest E."""
+        if self.late is None or self.rest.scenario.actuators.takes_positions:
+            return None
+        known = (self.known(place, largest * _SIGNS) for place in range(len(self.places)))
+        pairs = zip(known, self.true, strict=True)
+        values = [np.abs(np.linalg.eigvals(self.matrix(*pair))).max(axis=-1) for pair in pairs]
+        return loop_under_errors(self.rest.scenario, own, _SIGNS[int(np.argmax(np.max(values, axis=0)))], largest)
+
     def drift(self) -> Drift:
         """Compute all results; open where no axis has a drive."""
         if self.springs == 6:
@@ -454,4 +471,6 @@ class _Worker:
             springs=self.springs,
             leg_unit=self.rest.units.small,
             small_shift=self.rest.small_shift,
+            takes_positions=self.rest.scenario.actuators.takes_positions,
+            loop=self.loop(own, min((limit for limit in limits if limit is not None), default=LARGEST)),
         )

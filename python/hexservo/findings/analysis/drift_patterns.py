@@ -9,6 +9,11 @@ import numpy as np
 from hexservo.scenario.arrays import Array
 
 
+def signs_of(errors: Array) -> str:
+    """Return the signs of depth errors (p,), such as (+,-,-,+)."""
+    return "(" + ",".join("+" if part >= 0 else "-" for part in errors) + ")"
+
+
 @dataclass(frozen=True, eq=False)
 class Pattern:
     """Depth errors of one size with one sign per point."""
