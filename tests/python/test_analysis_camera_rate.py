@@ -911,7 +911,9 @@ def test_unequal_depths_drift_with_any_camera() -> None:
     assert 0.0 < found.free.drift_rate < 0.1
     assert found.free.stable
     assert found.section().verdict == "warning"
-    assert any("drift" in text for text in found.section().sentences)
+    assert (
+        "see the part equilibria" in found.section().sentences[0]
+    )  # kelly forms no pose error, whose drift is analysed
 
 
 def test_with_a_wrong_sign_no_camera_is_fast_enough() -> None:

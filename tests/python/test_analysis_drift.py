@@ -11,7 +11,8 @@ import pytest
 import hexservo as hs
 from hexservo.findings.analysis import drift
 from hexservo.findings.analysis.camera_margins import exponents
-from hexservo.findings.analysis.drift import Drift, Pattern, Size, loop_matrix
+from hexservo.findings.analysis.drift import Drift, loop_matrix
+from hexservo.findings.analysis.drift_patterns import Pattern, Size
 from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.linear_loop import Clock
 from hexservo.findings.analysis.loop_of_scenario import clock_of, loop_at_rest

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,8 @@ from scipy.linalg import expm
 import hexservo as hs
 from hexservo.findings.analysis import drift
 from hexservo.findings.analysis.drift import Drift
+from hexservo.findings.analysis.drift_loop import loop_under_errors
+from hexservo.findings.analysis.drift_patterns import Pattern
 from hexservo.findings.analysis.drift_rates import Lateness, exponential, late_rates
 
 GAIN = 4.0
@@ -85,7 +88,7 @@ def at_home(depth: list[float], times: float, bandwidth: float, prediction: str 
     )
 
 
-def own_of(found: Drift) -> drift.Pattern:
+def own_of(found: Drift) -> Pattern:
     assert found.own is not None
     return found.own
 
@@ -128,6 +131,10 @@ def test_depth_errors_of_one_per_cent_oscillate_with_a_late_image() -> None:
     assert own_of(found).smallest > 0.5
     assert "oscillates at 2.0" in section.sentences[1]
     assert any("drifts away or oscillates" in text for text in section.sentences)
+    fresh = [replace(pattern, late_alone=False) for pattern in found.sizes[0].patterns]
+    without = replace(found, own=fresh[0], sizes=(replace(found.sizes[0], patterns=tuple(fresh)),))
+    for each, stated in ((found, True), (without, False)):
+        assert any("with a late image" in text for text in each.section().sentences) == stated
 
 
 def test_a_law_of_a_filtered_pose_has_no_drift_of_any_target() -> None:
@@ -140,3 +147,85 @@ def test_a_law_of_a_filtered_pose_has_no_drift_of_any_target() -> None:
     reasons = {drift.analyse(each).open_because for each in (scenario, five)}
     assert len(reasons) == 1
     assert "filters" in reasons.pop()
+
+
+# ---- What a late image alone does ------------------------------------------------------------------------------------
+
+
+def worst_of(name: str, signs: list[float]) -> tuple[Pattern, Pattern]:
+    """Return exact depths, and errors of 30 %."""
+    exact, worst = drift._Worker(hs.load_scenario(name)).patterns(np.array([[0.0] * 4, [0.3 * sign for sign in signs]]))
+    return exact, worst
+
+
+def test_a_complex_rate_of_a_pose_error_that_decays_is_no_frequency() -> None:
+    """`pi-h824`: those of exact depths are 5 +- 2.5i 1/s; the worst pattern has E = -0.02 and no eigenvalue above 1."""
+    exact, worst = worst_of("pi-h824", [1.0, -1.0, 1.0, -1.0])
+    assert exact.slowest > 0.0 > worst.slowest
+    assert exact.frequency == worst.frequency == 0.0
+    assert not exact.late_alone
+    assert not worst.late_alone
+
+
+def test_growth_that_a_fresh_image_has_too_is_not_that_of_a_late_one() -> None:
+    """`eye-to-hand`: E = -0.001 +- 0.019i of the worst pattern oscillates without prediction as well."""
+    _, worst = worst_of("eye-to-hand", [-1.0, 1.0, 1.0, -1.0])
+    assert worst.slowest < 0.0 < worst.frequency
+    assert not worst.late_alone
+
+
+def test_depth_errors_of_one_per_cent_grow_by_a_late_image_alone() -> None:
+    errors = np.array([[0.009, -0.009, 0.009, -0.009], [0.3, 0.3, -0.3, 0.3]])
+    large, negative = drift._Worker(at_home([0.0] * 4, 0.1, 10.0)).patterns(errors)
+    assert large.slowest < 0.0
+    assert negative.slowest < 0.0
+    assert large.late_alone
+    assert not negative.late_alone
+
+
+# ---- Legs that take forces: the linear loop decides ------------------------------------------------------------------
+
+SIGNS = np.array([1.0, -1.0, 1.0, -1.0])
+FORCES = {"controller.law": "resolved_rate", "camera.period": 0.1, "camera.latency": 0.1, "sensors.resolution": 0.0}
+
+
+def with_forces(size: float) -> hs.Scenario:
+    """Its written gains have a mode of 0.25 Hz that decays at 0.12 1/s: not fast beside rates of 2 1/s."""
+    return hs.load_scenario("pi-h824").updated({**FORCES, "uncertainty.depth": (size * SIGNS).tolist()})
+
+
+@pytest.mark.slow
+def test_a_loop_that_is_no_faster_than_the_drift_decides() -> None:
+    """All rates are positive up to 0.61 %, and runs oscillate away beyond 0.40 %."""
+    found = drift.analyse(with_forces(0.005))
+    assert found.loop is not None
+    assert found.loop.limit is not None
+    assert found.limit_start is not None
+    assert own_of(found).slowest > 0.0
+    assert own_of(found).errors.max() < found.limit_start
+    section = found.section()
+    assert section.verdict == "bad"
+    assert not any("drifts away or oscillates" in text for text in section.sentences)
+    assert sum("camera_rate" in text for text in section.sentences) == 2
+    for share in (0.92, 1.08):
+        scenario = with_forces(share * found.loop.limit)
+        home = np.array(hs.project(scenario, np.zeros(6))).ravel().tolist()
+        scenario = scenario.updated({"camera.noise": 0.0, "target.desired_features": home})
+        gone = distances(scenario, np.array([2e-5, 2e-5, 0.0, -5e-5, 5e-5, 0.0]), 40.0)
+        ticks = round(4.0 / scenario.simulation.step)
+        assert (gone[-ticks:].max() > gone[2 * ticks : 3 * ticks].max()) == (share > 1.0)
+
+
+def test_the_loop_is_stable_with_small_errors_and_grows_with_larger_ones() -> None:
+    """Its border is 0.40 %: with half of that nothing grows."""
+    found = loop_under_errors(with_forces(0.0), 0.005 * SIGNS, SIGNS, 0.002)
+    assert found is not None
+    assert not found.own.stable
+    assert found.own.rate > 0.0
+    assert found.limit is None
+    assert not found.grows_at(0.002)
+
+
+def test_a_loop_that_is_not_linearised_is_stated_not_to_be() -> None:
+    scenario = with_forces(0.0).updated({"uncertainty.latency": 0.001})
+    assert loop_under_errors(scenario, 0.0 * SIGNS, SIGNS, 0.002) is None

@@ -130,10 +130,12 @@ def _sentences(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Marg
         first = f"The camera is fast enough for the {which}: {borders}."
     found = [first]
     if acting.has_camera and acting.drifts:
+        law = at_rest.scenario.controller.traits
+        see = "; see the part equilibria" * (not law.pose_error) or "; see the part drift" * bool(law.inverse)
         drift = (
             f"{acting.drifts} of the modes drifts away with any camera, at {acting.drift_rate:.3g} 1/s with a perfect "
             "one: the assumed depths reverse a direction that is weakly observable in the image. The "
-            "limits are those of all other modes; see the part drift."
+            f"limits are those of all other modes{see}."
         )
         found = [drift, first] if acting.stable else [first, drift]  # what decides the verdict comes first
 

@@ -9,6 +9,8 @@ from typing import TypeAlias
 import numpy as np
 
 from hexservo import _core
+from hexservo.findings.analysis.drift_loop import LoopUnderErrors, loop_under_errors
+from hexservo.findings.analysis.drift_patterns import Pattern, Size, signs_of
 from hexservo.findings.analysis.drift_rates import late_rates, lateness
 from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.poses import Poses, without_sign
@@ -25,75 +27,11 @@ GRID = 20  # sizes up to it before the bisection, so that a border that is not t
 _ROUNDS = 20  # of bisection
 _CREEP_ROUNDS = 30  # of the search for the end of the drift
 _FAST = 1e-6  # [s], least time constant of the springs that damping leaves: far below a drift's
+_LARGE = 2.0  # |E| beyond which |E - 1| may be above 1, as growth by a late image requires
 _POINTS = 4  # whose patterns are analysed
 _SIGNS = np.array(list(itertools.product((1.0, -1.0), repeat=_POINTS)))  # (16, 4)
 
 _Seen: TypeAlias = tuple[Array, Array, Array]  # E, J-hat and J of a displacement
-
-
-@dataclass(frozen=True, eq=False)
-class Pattern:
-    """Depth errors of one size with one sign per point."""
-
-    signs: str  # such as (+,-,-,+)
-    errors: Array  # (p,) delta_Z
-    start: float  # smallest real part of an eigenvalue of the loop matrix at the start [1]
-    goal: float  # the same at the goal; NaN where there is no goal pose
-    direction: Array  # (6,) [m; rad], in B: the one that belongs to `start`
-    rate: float  # [1/s], smallest real part of the drift's rates, at the start
-    goal_rate: float  # [1/s], the same at the goal; NaN where there is no goal pose
-    frequency: float  # [Hz], at which the pose error oscillates where it grows: at the start if it does so there
-    end: Array | None  # (6,) from home [m; rad], where it comes to rest (`ends`); None: none attracts, or is searched
-    end_rate: float  # [1/s], as `rate`, there
-    end_error: float  # [px], largest |xi_d - xi| there
-    end_travel: float  # [m], largest leg travel there
-    end_left: float  # share of its limits that the leg nearest to one has left there; negative: out of reach
-
-    @property
-    def smallest(self) -> float:
-        """Smallest real part of an eigenvalue of the loop matrix at start and goal [1]."""
-        return float(np.nanmin([self.start, self.goal]))
-
-    @property
-    def slowest(self) -> float:
-        """Smallest real part of the drift's rates at start and goal [1/s]; not positive: the pose error grows there."""
-        return float(np.nanmin([self.rate, self.goal_rate]))
-
-    @property
-    def rank(self) -> float:
-        """`slowest`, rounded: two patterns that symmetry makes equal are not ordered by their rounding errors."""
-        return round(self.slowest, 9)
-
-    @property
-    def time_constant(self) -> float:
-        """1/rate [s]: time constant of the creep if positive, of the growth if negative."""
-        return _time_constant(self.rate)
-
-    @property
-    def goal_time_constant(self) -> float:
-        """1/goal_rate [s]; NaN without a goal pose."""
-        return _time_constant(self.goal_rate)
-
-    @property
-    def end_time_constant(self) -> float:
-        """1/end_rate [s]; NaN without an end."""
-        return 1.0 / self.end_rate
-
-
-@dataclass(frozen=True, eq=False)
-class Size:
-    """All sixteen sign patterns of one size."""
-
-    size: float  # |delta_Z|
-    patterns: tuple[Pattern, ...]
-    negative: tuple[int, int]  # at start and goal, of the 14 patterns that differ: how many have a negative rate
-    negative_inverse_only: tuple[int, int]  # the same with the prior in the inverse alone
-    negative_image_only: tuple[int, int]  # the same without a prior, M = 0
-
-    @property
-    def worst(self) -> Pattern:
-        """The pattern with the smallest rate at start or goal."""
-        return min(self.patterns, key=lambda pattern: pattern.rank)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -119,6 +57,13 @@ class Drift(Part):
     springs: int = 0  # axes without a drive, where nothing drifts: the rates are those of the others
     leg_unit: str = "mm"  # a thousandth of the unit of leg travel
     small_shift: float = 0.0  # [m], of motions shown as examples
+    takes_positions: bool = False
+    loop: LoopUnderErrors | None = None  # with a late image and legs that take forces, where it applies
+
+    @property
+    def finds_oscillations(self) -> bool:
+        """Whether oscillations by a late image are found: by the rates, or by the loop of legs that take forces."""
+        return self.late > 0.0 and (self.takes_positions or self.loop is not None)
 
 
 def analyse(scenario: Scenario) -> Drift:
@@ -172,10 +117,6 @@ def loop_matrix(known: Array, true: Array, inverse: Array, expected: Array) -> A
     turned = np.swapaxes(known, -1, -2)
     found: Array = np.linalg.solve(turned @ known + np.diag(inverse), turned @ true + np.diag(expected)).astype(float)
     return found
-
-
-def _time_constant(rate: float) -> float:
-    return 1.0 / rate if rate != 0.0 else np.inf
 
 
 class _Worker:
@@ -296,14 +237,24 @@ class _Worker:
         return loop_matrix(self.root * known, self.root * true, inverse, expected)
 
     def slowest(
-        self, known: Array, true: Array, inverse: Array | None = None, expected: Array | None = None
+        self,
+        known: Array,
+        true: Array,
+        inverse: Array | None = None,
+        expected: Array | None = None,
+        *,
+        fresh: bool = False,
     ) -> Complex:
-        """Return the drift's rate of the smallest real part [1/s; rad/s], (n,), of J-hat (n, 2p, 6) and J: `matrix`."""
+        """Return the drift's rate of the smallest real part [1/s; rad/s], (n,), of J-hat (n, 2p, 6) and J: `matrix`.
+
+        With `fresh` as if the image were not late.
+        """
+        late = None if fresh else self.late
         now = (self.matrix(known, true, inverse, expected), known, true)
         # Per displacement since the image, which the law sees with J-hat in place of J: 1 - E where M_e is M.
-        since = (self.matrix(known, known - true, inverse, np.zeros(6)), known, known - true) if self.late else None
+        since = (self.matrix(known, known - true, inverse, np.zeros(6)), known, known - true) if late else None
         moved, held = self._learning_motion(now, since) if self.integrates else self._motion(now, since)
-        values = np.linalg.eigvals(moved) if self.late is None else late_rates(moved, held, self.late)
+        values = np.linalg.eigvals(moved) if late is None else late_rates(moved, held, late)
         order = np.argsort(np.abs(values), axis=-1)[..., self.springs :]
         kept = np.take_along_axis(values, order, axis=-1)  # without those of axes that have no drive
         return np.asarray(np.take_along_axis(kept, kept.real.argmin(axis=-1)[..., None], axis=-1)[..., 0])
@@ -341,6 +292,18 @@ class _Worker:
         """Return `slowest` at a place for depth errors (n, p)."""
         return self.slowest(self.known(place, errors), self.true[place], *prior)
 
+    def by_late_image_alone(self, errors: Array) -> Mask:
+        """Return for which depth errors (n, p) e grows by a late image alone: E is large, a fresh image stops it."""
+        found = np.zeros(len(errors), dtype=bool)
+        if self.late is None:
+            return found
+        for place, true in enumerate(self.true):
+            known = self.known(place, errors)
+            large = np.abs(np.linalg.eigvals(self.matrix(known, true))).max(axis=1) > _LARGE
+            grows = self.slowest(known, true).real <= 0.0
+            found |= large & grows & (self.slowest(known, true, fresh=True).real > 0.0)
+        return found
+
     def patterns(self, errors: Array) -> tuple[Pattern, ...]:
         """Describe depth errors (n, p)."""
         unit = self.rest.unit
@@ -357,20 +320,23 @@ class _Worker:
         if len(self.places) > 1:
             at_goal = np.linalg.eigvals(self.matrix(self.known(1, errors), self.true[1])).real.min(axis=1)
             goal_rates = self.slowest_at(1, errors)
+        late_alone = self.by_late_image_alone(errors)
         found = []
         for i, error in enumerate(errors):
             least = int(np.argmin(values[i].real))
             direction = without_sign(vectors[i, :, least].real)
+            growing = next((rate for rate in (rates[i], goal_rates[i]) if rate.real <= 0.0), 0j)
             found.append(
                 Pattern(
-                    "(" + ",".join("+" if part >= 0 else "-" for part in error) + ")",
+                    signs_of(error),
                     error,
                     float(values[i, least].real),
                     float(at_goal[i]),
                     direction * unit / np.linalg.norm(direction),
                     float(rates[i].real),
                     float(goal_rates[i].real),
-                    abs(float((rates[i] if rates[i].real <= 0.0 else goal_rates[i]).imag)) / (2.0 * np.pi),
+                    abs(float(growing.imag)) / (2.0 * np.pi),
+                    bool(late_alone[i]),
                     moved[i] if ended[i] else None,
                     float(end_rates[i]) if ended[i] else np.nan,
                     float(np.abs(self.rest.desired - seen[i]).max()) if ended[i] else np.nan,
@@ -459,6 +425,15 @@ class _Worker:
                 high = middle
         return low
 
+    def loop(self, own: Array, largest: float) -> LoopUnderErrors | None:
+        """Return the linear loop with the scenario's own errors (p,), and up to a size of the pattern of largest E."""
+        if self.late is None or self.rest.scenario.actuators.takes_positions:
+            return None
+        known = (self.known(place, largest * _SIGNS) for place in range(len(self.places)))
+        pairs = zip(known, self.true, strict=True)
+        values = [np.abs(np.linalg.eigvals(self.matrix(*pair))).max(axis=-1) for pair in pairs]
+        return loop_under_errors(self.rest.scenario, own, _SIGNS[int(np.argmax(np.max(values, axis=0)))], largest)
+
     def drift(self) -> Drift:
         """Compute all results; open where no axis has a drive."""
         if self.springs == 6:
@@ -496,4 +471,6 @@ class _Worker:
             springs=self.springs,
             leg_unit=self.rest.units.small,
             small_shift=self.rest.small_shift,
+            takes_positions=self.rest.scenario.actuators.takes_positions,
+            loop=self.loop(own, min((limit for limit in limits if limit is not None), default=LARGEST)),
         )

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from hexservo.findings.analysis.drift import GRID, LARGEST, SIZES, Drift, Pattern, Size
+from hexservo.findings.analysis.drift import GRID, LARGEST, SIZES, Drift
+from hexservo.findings.analysis.drift_patterns import Pattern, Size, signs_of
 from hexservo.findings.analysis.words import direction_words, finite, open_section
 from hexservo.findings.evidence import Column, Curves, Item, Line, Section, Table, Verdict, picked
 
@@ -23,9 +24,11 @@ def section(found: Drift) -> Section:
 
 def _verdict(found: Drift) -> Verdict:
     assert found.own is not None
-    if found.own.slowest <= 0.0:
+    loop, chosen = found.loop, _chosen(found)
+    if found.own.slowest <= 0.0 or (loop is not None and not loop.own.stable):
         return "bad"
-    return "warning" if _chosen(found).worst.slowest <= 0.0 or _beyond(found, found.own) else "good"
+    doubtful = chosen.worst.slowest <= 0.0 or (loop is not None and loop.grows_at(chosen.size))
+    return "warning" if doubtful or _beyond(found, found.own) else "good"
 
 
 def _sentences(found: Drift) -> list[str]:
@@ -59,6 +62,13 @@ def _sentences(found: Drift) -> list[str]:
         )
         slow = f"the slowest mode has a time constant of {own.time_constant:.3g} s"
     words.append(text + (slow if own.slowest > 0.0 else _growth(own)) + ".")
+    if own.slowest > 0.0 and found.loop is not None and not found.loop.own.stable:
+        margins = found.loop.own
+        turning = f" and oscillates at {margins.frequency:.3g} Hz" if margins.frequency > 0.0 else ""
+        words.append(
+            "This holds if the rest of the loop is fast, which it is not: the linear loop with inertia, sensors and "
+            f"actuators grows at {margins.rate:.3g} 1/s{turning}; see the part camera_rate."
+        )
     without = "; ".join(
         f"{s.negative_image_only[0]} of 14 at the start"
         + (f" and {s.negative_image_only[1]} at the goal" if found.has_goal else "")
@@ -74,9 +84,10 @@ def _sentences(found: Drift) -> list[str]:
             f"In {found.springs} of the axes no pose error drives the platform: nothing drifts there, and they are "
             "excluded. No end of the drift is given."
         )
-    if found.late > 0.0 and max(own.frequency, worst.frequency) > 0.0:
+    if own.late_alone or worst.late_alone:
         words.append("Depth errors make eigenvalues of the loop matrix large: with a late image these modes oscillate.")
-    moves = "drifts away or oscillates" if found.late > 0.0 else "drifts away"
+    slow_only = not found.finds_oscillations or (found.loop is not None and found.loop.limit is not None)
+    moves = "drifts away" if slow_only else "drifts away or oscillates"
     limits = [limit for limit in (found.limit_start, found.limit_goal) if limit is not None]
     if limits:
         words.append(
@@ -85,7 +96,22 @@ def _sentences(found: Drift) -> list[str]:
         )
     else:
         words.append(f"No pattern {moves} at {places} up to {100 * LARGEST:.3g} %, the largest searched.")
+    words.extend(_of_loop(found))
     return words
+
+
+def _of_loop(found: Drift) -> list[str]:
+    """Return from which size on the loop grows though the rates do not, or that this is not known."""
+    if found.late > 0.0 and not found.finds_oscillations:
+        return ["Oscillations are not analysed here: the linear loop of the part camera_rate does not apply."]
+    if found.loop is None or found.loop.limit is None:
+        return []
+    if found.loop.limit == 0.0:
+        return ["The linear loop grows with exact depths too: see the part camera_rate."]
+    return [
+        f"The linear loop with inertia, sensors and actuators grows earlier: with the signs "
+        f"{signs_of(found.loop.signs)} from {100 * found.loop.limit:.3g} % on; see the part camera_rate."
+    ]
 
 
 def _growth(pattern: Pattern) -> str:
@@ -213,6 +239,14 @@ def _data(found: Drift) -> dict[str, Any]:
             for s in found.sizes
         ],
         **picked(found, "limit_start limit_goal"),
+        "loop": None
+        if found.loop is None
+        else {
+            "stable": found.loop.own.stable,
+            **picked(found.loop.own, "rate frequency"),
+            "limit": found.loop.limit,
+            "signs": signs_of(found.loop.signs),
+        },
         "largest_searched": LARGEST,
     }
 

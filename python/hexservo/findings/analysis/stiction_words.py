@@ -104,7 +104,18 @@ def _of_the_set(found: Stiction, case: StictionCase) -> str:
             f" At a pose with {number(case.confirmed)} px the law itself is within K_v, and every leg within its "
             "stroke."
         )
+    for runs in found.runs:
+        if not runs.fuzzy and runs.counted.any() and (share := _share_of_bound(runs)) > 1.0:
+            text += (
+                f" These are linear: of the runs to other goals, below, one rests at {share:.0%} of the linear value "
+                "there."
+            )
     return text
+
+
+def _share_of_bound(runs: Runs) -> float:
+    """Return the largest error of the runs at rest over that of the linear set around home."""
+    return float(runs.final_error[runs.counted].max()) / runs.bound
 
 
 def _of_creep(found: Stiction) -> str:
@@ -137,7 +148,7 @@ def _of_runs(runs: Runs) -> str:
     return (
         f"Of {len(counted) - 1} runs of {number(runs.duration)} s {with_fuzzy} fuzzy systems to goals near the start "
         f"{int(counted.sum())} came to rest, {inside} of them within K_v, with up to {number(largest)} px: "
-        f"{largest / bound:.0%} of the {number(bound)} px that the set has there"
+        f"{_share_of_bound(runs):.0%} of the {number(bound)} px that the set has there"
         + (", including the output of the fuzzy systems" if runs.fuzzy else "")
         + f"{own}."
     )
