@@ -5,6 +5,7 @@ docs/analysis/camera_rate.md has formulas and limits.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -36,6 +37,7 @@ from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.laws import SMOOTH_KINDS
+from hexservo.scenario.parameters import timeout_room
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.yaml import ScenarioError
 
@@ -227,14 +229,18 @@ def analyse(scenario: Scenario, *, borders: bool = True) -> CameraRate:
     except NotApplicableError as error:
         return CameraRate(scenario, str(error))
     radius = scene_of(scenario).platform_radius
-    free = loop_margins(at_rest.free, clock, radius, borders=borders)
-    smooth = loop_margins(at_rest.smooth, clock, radius, borders=borders) if at_rest.smooth is not None else None
+
+    def margins_of(loop: SampledLoop) -> Margins:
+        return loop_margins(loop, clock, radius, borders=borders, room=timeout_room(scenario))
+
+    free = margins_of(at_rest.free)
+    smooth = margins_of(at_rest.smooth) if at_rest.smooth is not None else None
     result = CameraRate(scenario, None, at_rest, clock, free, smooth)
     acting = result.acting or free
     result = replace(result, starts=_start_runs(at_rest))
     if not borders:
         return result
-    result = replace(result, learned=_learned(at_rest, clock, radius, acting is smooth))
+    result = replace(result, learned=_learned(at_rest, margins_of, acting is smooth))
     if not free.has_camera:  # no border to map
         return result
     periods, latencies, radii = radius_map(at_rest.free, clock, free)
@@ -267,9 +273,9 @@ def _start_runs(at_rest: LoopAtRest) -> tuple[StartRun, ...]:
         return ()
 
 
-def _learned(at_rest: LoopAtRest, clock: Clock, radius: float, smooth: bool) -> Margins | None:
+def _learned(at_rest: LoopAtRest, margins_of: Callable[[SampledLoop], Margins], smooth: bool) -> Margins | None:
     """Return the margins at the final weights of the task's own run."""
     if not at_rest.free.axes:  # nothing that learns
         return None
     weights = learned_weights(at_rest.task)
-    return None if weights is None else loop_margins(loop_with_weights(at_rest, weights, smooth=smooth), clock, radius)
+    return None if weights is None else margins_of(loop_with_weights(at_rest, weights, smooth=smooth))

@@ -24,7 +24,7 @@ from hexservo.run.leg_limits import LimitUse, most_used, overload
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.laws import LAWS, laws_with
-from hexservo.scenario.parameters import frame_period
+from hexservo.scenario.parameters import frame_period, timeout_room
 from hexservo.scenario.scenario import Scenario
 
 _SHORT, _LONG = 2.0, 10.0  # [s], of a run, and of one where the task itself needs longer
@@ -92,6 +92,7 @@ class Timing:
     settles_later: bool | None  # whether `fails_at` settles in a longer run; None where there was none
     beyond: dict[float, LimitUse]  # by time [s], of those that fail for a leg beyond a limit alone
     overloads: dict[float, LimitUse]  # by time [s], of those that settle with forces beyond the legs' limit
+    timeout: float | None  # longest time that `camera.timeout` has room for [s]; None: it ends no search
 
     @property
     def settles_to(self) -> float | None:
@@ -463,11 +464,15 @@ def _timing(base: Scenario, what: str, other: float, trial: _Trial) -> Timing:
     # A run of less than two periods shows nothing of them, and one shorter than the latency has no image.
     longest = base.simulation.duration / (2.0 if what == "period" else 1.0)
     shown = [tick for tick in _TICKS if tick * step < longest] or [1]
+    timeout = None
+    if (room := timeout_room(base)) is not None and own + room < shown[-1]:
+        shown = [*(tick for tick in shown if tick < own + room), own + room]
+        timeout = (own + room) * step
     run([own, *shown] if what == "period" else [0, own, *shown])
     for _ in range(ROUNDS):
         run(quarters(outwards(tried, own)))
     times = {tick * step: good for tick, good in tried.items()}
-    found = Timing(what, base.camera.prediction, other, own * step, times, None, beyond, overloads)
+    found = Timing(what, base.camera.prediction, other, own * step, times, None, beyond, overloads, timeout)
     if found.fails_at is None or found.fails_at in beyond or trial.duration == trial.longer:
         return found
     longer = base.updated({"simulation.duration": trial.longer})

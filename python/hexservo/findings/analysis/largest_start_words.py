@@ -172,7 +172,8 @@ def _timing_words(found: LargestStart) -> list[str]:
                 parts.append(f"a {t.what} of {_milliseconds(t.fails_at)} {_failure(found, t)} {held}, some larger do")
             elif t.fails_at is None:
                 since = "" if t.fails_below is None else f"from {_milliseconds(t.own)} on, "
-                parts.append(f"every {t.what} tried {since}{within}, up to {_milliseconds(t.settles_to)}")
+                ends = "" if t.timeout is None else ", the longest that camera.timeout has room for"
+                parts.append(f"every {t.what} tried {since}{within}, up to {_milliseconds(t.settles_to)}{ends}")
             else:
                 parts.append(
                     f"a {t.what} of {_milliseconds(t.settles_to)} {within} and {_milliseconds(t.fails_at)} "
@@ -305,7 +306,7 @@ def _data(found: LargestStart) -> dict[str, Any]:
                 **picked(
                     t,
                     "what prediction other own settles_to fails_at settles_later fails_below limited_by "
-                    "overloaded_from",
+                    "overloaded_from timeout",
                 ),
                 "times": sorted(t.tried),
                 "settled": [t.tried[time] for time in sorted(t.tried)],
