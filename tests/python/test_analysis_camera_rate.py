@@ -876,6 +876,27 @@ def test_a_timeout_ends_the_search_where_the_core_refuses_longer_times() -> None
     )
 
 
+def test_runs_too_short_for_a_slow_mode_are_inconclusive() -> None:
+    """The mode changes by 3 % in 10 s, 2.5 of its turns, and what remains of others changes more."""
+    found = camera_rate.analyse(
+        hs.load_scenario("pi-h824").updated(
+            {
+                "controller": {"law": "resolved_rate", "resolved_rate": {"gain": 3.0}},
+                "camera": {"prediction": "none", "period": 0.03, "latency": 0.03},
+                "actuators": {"bandwidth": 100.0, "delay": 0.002},
+            }
+        )
+    )
+    inside, _ = found.runs
+    assert not inside.agrees
+    assert abs(inside.predicted) * inside.duration == pytest.approx(0.0314, rel=0.02)
+    section = found.section()
+    assert section.verdict == "good"
+    assert "That is inconclusive: the predicted growth changes the motion by 3.1 % in 10" in " ".join(section.sentences)
+    longer = tuple(replace(run, duration=100.0) for run in found.runs)  # in which it would show
+    assert replace(found, runs=longer).section().verdict == "warning"
+
+
 def test_the_map_shows_the_borders() -> None:
     """Each point of the map is on the side of 1 on which the loop at these clocks is."""
     camera = {"period": 0.02, "latency": 0.03, "latency_jitter": 0.01}

@@ -45,6 +45,8 @@ NEARLY = 0.05
 """A run on each side of the border is this far from it, relative to it; of whole ticks the nearest, at least one."""
 OF_GROWTH = 0.2
 """Share of a predicted growth that a measured one may differ from it."""
+LEAST_CHANGE = 0.1
+"""Growth times duration of a run, from which a measured sign counts: less is hidden by what remains of other modes."""
 _KEYS: tuple[Literal["period", "latency"], ...] = ("period", "latency")
 SMALL_OFFSET = 1e-6
 """Taken where 0.01 px is already too much for a loop to be linear [px]."""
@@ -60,11 +62,17 @@ class BorderRun:
     measured: float  # [1/s]; infinite where the run ended early
     offset: float  # largest feature offset at its start [px]
     apart: float  # from the border, relative to it; of latency and period at least one tick
+    duration: float  # [s]
 
     @property
     def agrees(self) -> bool:
         """Whether it grows where that is predicted, and decays where that is."""
         return (self.predicted > 0.0) == (self.measured > 0.0)
+
+    @property
+    def conclusive(self) -> bool:
+        """Whether the predicted growth changes the motion enough within the run for its sign to be measured."""
+        return abs(self.predicted) * self.duration >= LEAST_CHANGE
 
     @property
     def grows_as_predicted(self) -> bool:
@@ -185,7 +193,7 @@ def _run(
     way = way * np.exp(-1j * np.angle(way[int(np.argmax(np.abs(way)))]))  # its largest part is real
     if drift * 64.0 * seconds > np.log(0.1 / SMALL_OFFSET):
         return None  # `growth` takes 64 samples, and by then the drift would be all that is seen
-    measured, offset = 0.0, OFFSET
+    measured, offset, duration = 0.0, OFFSET, longest
     for offset in offsets:
         # A drift must not have left the linear range by then, a tenth of a pixel.
         duration = longest if drift * longest < np.log(0.1 / offset) else float(np.log(0.1 / offset)) / drift
@@ -202,7 +210,7 @@ def _run(
             break
     if np.isnan(measured):
         return None
-    return BorderRun(place.key, place.value, predicted, measured, offset, NEARLY)
+    return BorderRun(place.key, place.value, predicted, measured, offset, NEARLY, max(duration, 64.0 * seconds))
 
 
 def analyse(scenario: Scenario, *, borders: bool = True) -> CameraRate:

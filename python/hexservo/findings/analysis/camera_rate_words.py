@@ -57,7 +57,7 @@ def _verdict(result: CameraRate, clock: Clock, acting: Margins) -> Verdict:
     beyond = any(border.own.share > 1.0 for border in result.limits.values())
     small = acting.gain[1] is not None and acting.gain[1] < ENOUGH_GAIN
     late = acting.latency.unstable is not None and acting.latency.unstable - clock.latency <= clock.period
-    doubtful = any(not run.agrees for run in result.runs)
+    doubtful = any(run.conclusive and not run.agrees for run in result.runs)
     return "warning" if small or late or acting.drifts or doubtful or beyond or not acting.perfect else "good"
 
 

@@ -93,6 +93,12 @@ def border_runs_in_words(result: CameraRate) -> list[str]:
         f"{outside.predicted:+.3g} 1/s, measured {outside.measured:+.3g} 1/s."
     )
     if not (inside.agrees and outside.agrees):
+        if not any(run.conclusive and not run.agrees for run in result.runs):
+            change = max(abs(run.predicted) * run.duration for run in result.runs if not run.agrees)
+            return [
+                f"{text} That is inconclusive: the predicted growth changes the motion by {100.0 * change:.2g} % in "
+                f"{inside.duration:.3g} s, too little to be measured."
+            ]
         return [text + " They disagree: the linear loop does not describe these runs."]
     if any(run.offset < START for run in result.runs):
         text += f" From {START:g} px a run behaves differently: this far from its goal the loop is not linear."
