@@ -864,6 +864,39 @@ def test_the_part_of_composite_30hz() -> None:
     assert sum(isinstance(item, Table) for item in section.items) == 2
 
 
+def test_a_timeout_ends_the_search_where_the_core_refuses_longer_times() -> None:
+    """100 ms less the other time, 16 ms: the core refuses the tick after (test_analysis_largest_start.py)."""
+    found = camera_rate.analyse(hs.load_scenario("pi-h824").updated({"camera.timeout": 0.1}))
+    assert found.acting is not None
+    assert found.acting.period.looked_at == found.acting.latency.looked_at == 84
+    words = found.section().sentences
+    assert "up to 84 ms (it is 16 ms)" in words[0]
+    assert any(
+        "ends at a period of 84 ms and at a latency of 84 ms: the camera's timeout of 100 ms" in w for w in words
+    )
+
+
+def test_runs_too_short_for_a_slow_mode_are_inconclusive() -> None:
+    """The mode changes by 3 % in 10 s, 2.5 of its turns, and what remains of others changes more."""
+    found = camera_rate.analyse(
+        hs.load_scenario("pi-h824").updated(
+            {
+                "controller": {"law": "resolved_rate", "resolved_rate": {"gain": 3.0}},
+                "camera": {"prediction": "none", "period": 0.03, "latency": 0.03},
+                "actuators": {"bandwidth": 100.0, "delay": 0.002},
+            }
+        )
+    )
+    inside, _ = found.runs
+    assert not inside.agrees
+    assert abs(inside.predicted) * inside.duration == pytest.approx(0.0314, rel=0.02)
+    section = found.section()
+    assert section.verdict == "good"
+    assert "That is inconclusive: the predicted growth changes the motion by 3.1 % in 10" in " ".join(section.sentences)
+    longer = tuple(replace(run, duration=100.0) for run in found.runs)  # in which it would show
+    assert replace(found, runs=longer).section().verdict == "warning"
+
+
 def test_the_map_shows_the_borders() -> None:
     """Each point of the map is on the side of 1 on which the loop at these clocks is."""
     camera = {"period": 0.02, "latency": 0.03, "latency_jitter": 0.01}

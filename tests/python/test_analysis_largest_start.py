@@ -195,6 +195,39 @@ def test_camera_times_that_are_only_slow_are_stated_as_slow() -> None:
     assert "160 ms is slower, but settles within 6 s" in words
 
 
+def test_a_timeout_ends_the_search_of_camera_times_where_the_core_refuses_longer_ones() -> None:
+    """60 ms less the other time and the jitter, 16 and 2 ms, is 42 ms for either."""
+    scenario = hs.load_scenario("pi-h824").updated(
+        {"camera.timeout": 0.06, "camera.latency_jitter": 0.002, "simulation.duration": 0.7}
+    )
+    found = timings_of(scenario)
+    for timing in found.timings:
+        assert timing.settles_to == timing.timeout == pytest.approx(0.042)
+        hs.simulate(scenario.updated({f"camera.{timing.what}": 0.042, "simulation.duration": 0.1}))
+        with pytest.raises(ValueError, match="period, latency and latency_jitter together"):
+            hs.simulate(scenario.updated({f"camera.{timing.what}": 0.043, "simulation.duration": 0.1}))
+    assert "up to 42 ms, the longest that camera.timeout has room for" in " ".join(_timing_words(found))
+    assert timings_of(scenario.updated({"camera.timeout": 2.0})).timings[0].timeout is None
+
+
+def test_a_limit_of_camera_times_in_noise_is_repeated_with_other_seeds() -> None:
+    """Near its band the noise of one seed ends the search, and larger periods settle again, as single runs do."""
+    scenario = hs.load_scenario("moog-6dof2000e")
+    found = timings_of(scenario)
+    period = found.timings[0]
+    assert period.fails_at is not None
+    assert period.settles_again is not None
+    assert period.settles_again > period.fails_at
+    assert period.tried[period.settles_again]
+    late = scenario.updated({"camera.period": period.fails_at, "simulation.duration": 10.0})
+    single = [np.isfinite(hs.metrics(hs.simulate(late.updated({"seed": seed})))["settling_time"]) for seed in range(5)]
+    assert scenario.seed == 0
+    assert list(period.reseeded) == single[1:]
+    assert not single[0]
+    words = " ".join(_timing_words(found))
+    assert f"does not (with 4 other seeds it settles in {sum(single)} runs; some larger ones settle, up to" in words
+
+
 def test_camera_times_are_searched_from_the_scenarios_own() -> None:
     """A slow law settles in 2 s with its own camera of 100 ms and 100 ms, and not with a faster one."""
     scenario = hs.load_scenario("reachy-mini").updated(

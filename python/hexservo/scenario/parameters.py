@@ -108,6 +108,20 @@ def reading_ticks(scenario: Blocks) -> int:
     return max(1, round(sensors.period / scenario.simulation.step))
 
 
+def timeout_room(scenario: Blocks) -> int | None:
+    """Return by how many servo periods `camera.period` or `camera.latency` alone can grow; None: no `camera.timeout`.
+
+    The core refuses a timeout below the oldest age of an image that is never lost (``cpp/src/settings.cpp``).
+    """
+    camera, step = scenario.camera, scenario.simulation.step
+    if camera.timeout is None:
+        return None
+    late = max(scenario.uncertainty.latency, 0.0)
+    oldest = sum(round(each / step) for each in (frame_period(scenario), camera.latency, camera.latency_jitter, late))
+    waits = reading_ticks(scenario) - 1 if scenario.controller.traits.output == "pose" else 0
+    return round(camera.timeout / step) - oldest - waits
+
+
 def image_age(scenario: Blocks) -> float:
     """Return the mean time from an exposure to the ticks at which its image is used [s]: 0 in continuous mode."""
     if scenario.simulation.mode != SAMPLED_MODE:

@@ -218,7 +218,9 @@ def most_frames(loop: SampledLoop) -> int:
     return _MOST_FRAMES if loop.reading == 1 else loop.few
 
 
-def loop_margins(loop: SampledLoop, clock: Clock, radius: float = 1.0, *, borders: bool = True) -> Margins:
+def loop_margins(
+    loop: SampledLoop, clock: Clock, radius: float = 1.0, *, borders: bool = True, room: int | None = None
+) -> Margins:
     """Find the stability limits of a linear loop in period, latency and gain, from its own values.
 
     Parameters
@@ -231,6 +233,8 @@ def loop_margins(loop: SampledLoop, clock: Clock, radius: float = 1.0, *, border
         Of the platform [m], to compare moves with turns.
     borders
         False leaves the borders out: period and latency of what is stable are the loop's own, unstable None.
+    room
+        By how many ticks period and latency may be longer than the clock's in the searches; None: as far as others.
 
     Raises
     ------
@@ -261,6 +265,8 @@ def loop_margins(loop: SampledLoop, clock: Clock, radius: float = 1.0, *, border
     if loop.reading > 1 or not perfect:  # clocks whose eigenvalues are computed: more frames if the loop's own has them
         frames = frames if clock.latency <= frames * clock.period else most_frames(loop)
         most_latency, least_period = min(most_latency, frames * clock.period), max(1, -(-clock.latency // frames))
+    if room is not None:
+        most_period, most_latency = min(most_period, clock.period + room), min(most_latency, clock.latency + room)
     none: tuple[float | None, float | None] = (None, None)
     if not borders or (wrong and not stable):
         period = Border(clock.period if stable else None, None, clock.period)

@@ -5,6 +5,7 @@ docs/analysis/camera_rate.md has formulas and limits.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -36,6 +37,7 @@ from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.laws import SMOOTH_KINDS
+from hexservo.scenario.parameters import timeout_room
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.yaml import ScenarioError
 
@@ -43,6 +45,8 @@ NEARLY = 0.05
 """A run on each side of the border is this far from it, relative to it; of whole ticks the nearest, at least one."""
 OF_GROWTH = 0.2
 """Share of a predicted growth that a measured one may differ from it."""
+LEAST_CHANGE = 0.1
+"""Growth times duration of a run, from which a measured sign counts: less is hidden by what remains of other modes."""
 _KEYS: tuple[Literal["period", "latency"], ...] = ("period", "latency")
 SMALL_OFFSET = 1e-6
 """Taken where 0.01 px is already too much for a loop to be linear [px]."""
@@ -58,11 +62,17 @@ class BorderRun:
     measured: float  # [1/s]; infinite where the run ended early
     offset: float  # largest feature offset at its start [px]
     apart: float  # from the border, relative to it; of latency and period at least one tick
+    duration: float  # [s]
 
     @property
     def agrees(self) -> bool:
         """Whether it grows where that is predicted, and decays where that is."""
         return (self.predicted > 0.0) == (self.measured > 0.0)
+
+    @property
+    def conclusive(self) -> bool:
+        """Whether the predicted growth changes the motion enough within the run for its sign to be measured."""
+        return abs(self.predicted) * self.duration >= LEAST_CHANGE
 
     @property
     def grows_as_predicted(self) -> bool:
@@ -183,7 +193,7 @@ def _run(
     way = way * np.exp(-1j * np.angle(way[int(np.argmax(np.abs(way)))]))  # its largest part is real
     if drift * 64.0 * seconds > np.log(0.1 / SMALL_OFFSET):
         return None  # `growth` takes 64 samples, and by then the drift would be all that is seen
-    measured, offset = 0.0, OFFSET
+    measured, offset, duration = 0.0, OFFSET, longest
     for offset in offsets:
         # A drift must not have left the linear range by then, a tenth of a pixel.
         duration = longest if drift * longest < np.log(0.1 / offset) else float(np.log(0.1 / offset)) / drift
@@ -200,7 +210,7 @@ def _run(
             break
     if np.isnan(measured):
         return None
-    return BorderRun(place.key, place.value, predicted, measured, offset, NEARLY)
+    return BorderRun(place.key, place.value, predicted, measured, offset, NEARLY, max(duration, 64.0 * seconds))
 
 
 def analyse(scenario: Scenario, *, borders: bool = True) -> CameraRate:
@@ -227,14 +237,18 @@ def analyse(scenario: Scenario, *, borders: bool = True) -> CameraRate:
     except NotApplicableError as error:
         return CameraRate(scenario, str(error))
     radius = scene_of(scenario).platform_radius
-    free = loop_margins(at_rest.free, clock, radius, borders=borders)
-    smooth = loop_margins(at_rest.smooth, clock, radius, borders=borders) if at_rest.smooth is not None else None
+
+    def margins_of(loop: SampledLoop) -> Margins:
+        return loop_margins(loop, clock, radius, borders=borders, room=timeout_room(scenario))
+
+    free = margins_of(at_rest.free)
+    smooth = margins_of(at_rest.smooth) if at_rest.smooth is not None else None
     result = CameraRate(scenario, None, at_rest, clock, free, smooth)
     acting = result.acting or free
     result = replace(result, starts=_start_runs(at_rest))
     if not borders:
         return result
-    result = replace(result, learned=_learned(at_rest, clock, radius, acting is smooth))
+    result = replace(result, learned=_learned(at_rest, margins_of, acting is smooth))
     if not free.has_camera:  # no border to map
         return result
     periods, latencies, radii = radius_map(at_rest.free, clock, free)
@@ -267,9 +281,9 @@ def _start_runs(at_rest: LoopAtRest) -> tuple[StartRun, ...]:
         return ()
 
 
-def _learned(at_rest: LoopAtRest, clock: Clock, radius: float, smooth: bool) -> Margins | None:
+def _learned(at_rest: LoopAtRest, margins_of: Callable[[SampledLoop], Margins], smooth: bool) -> Margins | None:
     """Return the margins at the final weights of the task's own run."""
     if not at_rest.free.axes:  # nothing that learns
         return None
     weights = learned_weights(at_rest.task)
-    return None if weights is None else loop_margins(loop_with_weights(at_rest, weights, smooth=smooth), clock, radius)
+    return None if weights is None else margins_of(loop_with_weights(at_rest, weights, smooth=smooth))

@@ -8,15 +8,14 @@ from typing import Any
 import numpy as np
 
 from hexservo.findings.analysis.camera_margins import LARGEST_FACTOR, MOST_DRIFTS, Border, Margins
-from hexservo.findings.analysis.camera_rate import OF_GROWTH, CameraRate
+from hexservo.findings.analysis.camera_rate import CameraRate
+from hexservo.findings.analysis.camera_runs_words import border_runs_in_words, legs_in_words, starts_in_words
 from hexservo.findings.analysis.linear_loop import Clock
-from hexservo.findings.analysis.loop_of_scenario import OFFSET as START
 from hexservo.findings.analysis.loop_of_scenario import LoopAtRest, proportional_gains
 from hexservo.findings.analysis.scene import scene_of
-from hexservo.findings.analysis.words import AXES, finite, number
+from hexservo.findings.analysis.words import AXES, finite, in_ms
 from hexservo.findings.evidence import Cell, Column, HeatMap, Line, Section, Table, Verdict, picked
-from hexservo.run.leg_limits import LimitUse, limits_of_motion
-from hexservo.scenario.leg_units import leg_units
+from hexservo.scenario.parameters import timeout_room
 
 PAGE = "docs/analysis/camera_rate.md"
 
@@ -58,36 +57,30 @@ def _verdict(result: CameraRate, clock: Clock, acting: Margins) -> Verdict:
     beyond = any(border.own.share > 1.0 for border in result.limits.values())
     small = acting.gain[1] is not None and acting.gain[1] < ENOUGH_GAIN
     late = acting.latency.unstable is not None and acting.latency.unstable - clock.latency <= clock.period
-    doubtful = any(not run.agrees for run in result.runs)
+    doubtful = any(run.conclusive and not run.agrees for run in result.runs)
     return "warning" if small or late or acting.drifts or doubtful or beyond or not acting.perfect else "good"
-
-
-def _leg_unit(result: CameraRate) -> str:
-    return leg_units(result.scenario.robot).small
-
-
-def _ms(seconds: float) -> str:
-    return f"{1e3 * seconds:.4g} ms"
 
 
 def _at_most(border: Border, tick: float, what: str) -> str:
     if border.stable is None:
         least, most = border.unstable or 0, border.looked_at
-        extent = f"from {_ms(least * tick)} to {_ms(most * tick)}" if most > least else f"down to {_ms(least * tick)}"
+        extent = (
+            f"from {in_ms(least * tick)} to {in_ms(most * tick)}" if most > least else f"down to {in_ms(least * tick)}"
+        )
         return f"no {what} searched, {extent}, is stable"
     if border.least is not None:
-        longest = border.looked_at if border.unstable is None else border.stable
+        longest = in_ms((border.looked_at if border.unstable is None else border.stable) * tick)
         ends = "the largest searched" if border.unstable is None else "beyond which it is unstable again"
-        return f"the {what} must be at least {_ms(border.least * tick)}, and may be up to {_ms(longest * tick)}, {ends}"
+        return f"the {what} must be at least {in_ms(border.least * tick)}, and may be up to {longest}, {ends}"
     if border.unstable is None:
-        return f"it is stable at every {what} searched, up to {_ms(border.looked_at * tick)}"
-    return f"the {what} may be at most {_ms(border.stable * tick)}"
+        return f"it is stable at every {what} searched, up to {in_ms(border.looked_at * tick)}"
+    return f"the {what} may be at most {in_ms(border.stable * tick)}"
 
 
 def _delay_margin(acting: Margins, clock: Clock, tick: float) -> str:
     if not acting.stable or acting.latency.stable is None or acting.latency.unstable is None:
         return ""
-    return f": a delay margin of {_ms((acting.latency.stable - clock.latency) * tick)}"
+    return f": a delay margin of {in_ms((acting.latency.stable - clock.latency) * tick)}"
 
 
 def _mode(frequency: float) -> str:
@@ -96,7 +89,7 @@ def _mode(frequency: float) -> str:
 
 def _sentences(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins, acting: Margins) -> list[str]:
     tick = at_rest.scenario.simulation.step
-    period, latency = _ms(clock.period * tick), _ms(clock.latency * tick)
+    period, latency = in_ms(clock.period * tick), in_ms(clock.latency * tick)
     borders = (
         f"at its latency of {latency} {_at_most(acting.period, tick, 'period')} (it is {period}), and at its period "
         f"{_at_most(acting.latency, tick, 'latency')} (it is {latency}{_delay_margin(acting, clock, tick)})"
@@ -139,7 +132,7 @@ def _sentences(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Marg
         )
         found = [drift, first] if acting.stable else [first, drift]  # what decides the verdict comes first
 
-    found.extend(_about_legs(result, tick))
+    found.extend(legs_in_words(result, tick))
     how = "grows" if acting.rate > 0.0 else "decays"
     found.append(
         f"Over one period of {period} the spectral radius is {acting.radius:.4g}: the slowest mode {how} at "
@@ -164,11 +157,11 @@ def _sentences(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Marg
             f"{acting.resting} modes are neutral with any camera, and are excluded: they have no stiffness, "
             "or fuzzy systems driven by the rate alone (drive 0) make them a spring towards the start."
         )
-    starts = _about_starts(result, acting)
+    starts = starts_in_words(result, acting)
     found = [*found, *starts] if result.stable == acting.stable else [*starts, *found]
     found.extend(_about_learned(result, tick))
     found.extend(_about_kv(result, free, tick))
-    found.extend(_about_runs(result))
+    found.extend(border_runs_in_words(result))
     found.extend(_about_limits(result, at_rest, clock, acting))
     return found
 
@@ -204,40 +197,6 @@ def _without_camera(margins: Margins) -> str:
     return "with any camera" if margins.drifts > MOST_DRIFTS else f"with this camera, and {_NO_CAMERA}"
 
 
-_ENDINGS = {
-    "settles": "comes to rest",
-    "held": "is held where it starts",
-    "no nearer": "comes to rest no nearer to its goal than it started",
-    "goes on": "does not come to rest",
-    "limit": "takes a leg beyond a limit",
-    "ended": "ends early",
-    "open": "is undecided",
-}
-
-
-def _about_starts(result: CameraRate, acting: Margins) -> list[str]:
-    """Describe how the runs from small starts end, and whether the verdict follows them."""
-    if not result.starts:
-        return ["No run from a small start checks this: the law refuses the image of rest as a goal."]
-    ends = " and ".join(
-        f"the one from {run.offset:g} px {_ENDINGS[run.ending]} (at most {number(run.peak)} px, at the "
-        f"end {number(run.end)} px, legs {number(1e3 * run.travel)} {_leg_unit(result)})"
-        for run in result.starts
-    )
-    longest = max(run.duration for run in result.starts)
-    text = f"Of runs of {longest:g} s from near the goal, with the scenario's K_v, {ends}"
-    if result.settles is None:
-        why = "they are inconclusive" if acting.stable and acting.drifts else "that is inconclusive"
-        return [f"{text}: {why}, and the verdict is that of the linear loop."]
-    if result.settles == acting.stable:
-        return [f"{text}, as the linear loop predicts."]
-    weights = "the initial weights of the fuzzy systems" if result.at_rest and result.at_rest.free.axes else "rest"
-    return [
-        f"{text}. The verdict follows these runs: the linear loop, taken at {weights}, is "
-        f"{'stable' if acting.stable else 'unstable'} and does not describe them."
-    ]
-
-
 def _about_learned(result: CameraRate, tick: float) -> list[str]:
     """Describe the linear loop at the weights of the task's own run."""
     if result.at_rest is None or not result.at_rest.free.axes:
@@ -255,89 +214,35 @@ def _about_learned(result: CameraRate, tick: float) -> list[str]:
     ]
 
 
-def _about_legs(result: CameraRate, tick: float) -> list[str]:
-    """Describe how stroke, speed and joints of the legs, which are not in the linear loop, limit period and latency."""
-    found = []
-    for key, border in result.limits.items():
-        if border.within is None:
-            found.append(f"With the scenario's own {key} the task {border.use.excess}.")
-        elif border.beyond is None:
-            found.append(
-                f"In runs of the task at each {key} tried, up to {_ms(border.largest * tick)}, the legs stay within "
-                f"{_limits(result)} (at most {_use(border.use)})."
-            )
-        else:
-            kind = border.use.limit.kind
-            what = {"stroke": "The stroke limits", "speed": "The speed of the legs limits"}.get(
-                kind, f"The {kind.replace('_', ' ')}s limit"
-            )
-            found.append(
-                f"{what} the {key}: runs of the task keep the legs within {_limits(result)} up to "
-                f"{_ms(border.within * tick)}; at {_ms(border.beyond * tick)} the task {border.use.excess}."
-            )
-    return found
-
-
-def _limits(result: CameraRate) -> str:
-    """Return what the runs of the task are compared with."""
-    limits = limits_of_motion(result.scenario)
-    stroke = number(1e3 * result.scenario.robot.stroke)
-    return f"their stroke of {stroke} {_leg_unit(result)}" if len(limits) == 1 else "their limits"
-
-
-def _use(use: LimitUse) -> str:
-    """Return the largest value of a run, with what it is of if that is not the travel."""
-    unit, scale = use.limit.shown_unit
-    value = f"{number(scale * use.peak)} {unit}"
-    return value if use.limit.kind == "stroke" else f"{use.limit.of_leg} {value}, of {use.limit.text}"
-
-
-def _about_runs(result: CameraRate) -> list[str]:
-    if not result.runs:
-        return ["There was no stability limit to check by simulation."]
-    inside, outside = result.runs
-    name = {"gain": "gain", "latency": "latency", "period": "camera period"}[inside.key]
-    offsets = " and ".join(dict.fromkeys(f"{run.offset:g} px" for run in result.runs))
-    text = (
-        f"A numerical check by two runs with K_v = 0 near the stability limit in {name}, from {offsets}: inside "
-        f"predicted {inside.predicted:+.3g} 1/s, measured {inside.measured:+.3g} 1/s; outside "
-        f"{outside.predicted:+.3g} 1/s, measured {outside.measured:+.3g} 1/s."
-    )
-    if not (inside.agrees and outside.agrees):
-        return [text + " They disagree: the linear loop does not describe these runs."]
-    if any(run.offset < START for run in result.runs):
-        text += f" From {START:g} px a run behaves differently: this far from its goal the loop is not linear."
-    side = f", {100 * inside.apart:g} % on either side of the predicted one" if inside.key == "gain" else ""
-    text += f" The stability limit lies between these two runs{side}."
-    if not (inside.grows_as_predicted and outside.grows_as_predicted):
-        share = f"{100 * OF_GROWTH:g} %"
-        text += f" Their growth is not within {share} of the predicted: it has the predicted sign, and another size."
-    return [text]
-
-
 def _about_limits(result: CameraRate, at_rest: LoopAtRest, clock: Clock, acting: Margins) -> list[str]:
     scenario, tick = result.scenario, at_rest.scenario.simulation.step
     found = []
     if at_rest.as_if_sampled:
         found.append(
             "The scenario is in continuous mode, without camera timing: this is the loop in sampled "
-            f"mode, with a servo period of {_ms(tick)} and the period and latency of its camera block."
+            f"mode, with a servo period of {in_ms(tick)} and the period and latency of its camera block."
         )
     if scenario.camera.latency_jitter > 0.0:
         longest = clock.latency + round(scenario.camera.latency_jitter / tick)
         beyond = acting.latency.stable is not None and longest > acting.latency.stable
         found.append(
-            f"The latency is taken as constant. The longest one with jitter, {_ms(longest * tick)}, is "
+            f"The latency is taken as constant. The longest one with jitter, {in_ms(longest * tick)}, is "
             + ("beyond the limit." if beyond else "inside the limit, if it were constant.")
         )
     if scenario.camera.dropout > 0.0:
         found.append("Lost frames are not part of the linear loop; each one is a period twice as long.")
-    if scenario.camera.timeout is not None and scenario.camera.timeout < (clock.latency + clock.period - 1) * tick:
-        found.append(
-            f"The camera's timeout of {_ms(scenario.camera.timeout)} is shorter than the age that frames reach, "
-            f"{_ms((clock.latency + clock.period - 1) * tick)}: the loop is open part of the time, which is not seen "
-            "here."
-        )
+    if (room := timeout_room(scenario)) is not None:
+        both = (("period", clock.period, acting.period), ("latency", clock.latency, acting.latency))
+        ends = [
+            f"a {key} of {in_ms((own + room) * tick)}"
+            for key, own, border in both
+            if border.unstable is None and border.looked_at == own + room
+        ]
+        if ends:
+            found.append(
+                f"The search ends at {' and at '.join(ends)}: the camera's timeout of "
+                f"{in_ms(scenario.camera.timeout or 0.0)} (camera.timeout) has no room for longer ones."
+            )
     if at_rest.rest.residual > 1.0:
         found.append(
             f"The loop rests where a feature is {at_rest.rest.residual:.3g} px from its goal: the prior draws it "
@@ -381,7 +286,7 @@ def _items(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins)
         row("modes that drift with any camera", "", lambda m: m.drifts),
         row("neutral modes, excluded", "", lambda m: m.resting),
     ]
-    longest = _ms(max(free.period.looked_at, free.latency.looked_at) * tick)
+    longest = in_ms(max(free.period.looked_at, free.latency.looked_at) * tick)
     items: list[Table | HeatMap] = [
         Table(
             "Margins of the linear sampled loop at the goal",

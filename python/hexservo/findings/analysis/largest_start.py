@@ -24,11 +24,13 @@ from hexservo.run.leg_limits import LimitUse, most_used, overload
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.laws import LAWS, laws_with
-from hexservo.scenario.parameters import frame_period
+from hexservo.scenario.noise import is_random
+from hexservo.scenario.parameters import frame_period, timeout_room
 from hexservo.scenario.scenario import Scenario
 
 _SHORT, _LONG = 2.0, 10.0  # [s], of a run, and of one where the task itself needs longer
 _GRID = 8  # sizes in the first round, up to the largest that is possible
+_SEEDS = 4  # with which the first time that fails is repeated where runs are random
 _TICKS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 200, 300, 500)  # periods and latencies of the first round
 
 
@@ -92,6 +94,8 @@ class Timing:
     settles_later: bool | None  # whether `fails_at` settles in a longer run; None where there was none
     beyond: dict[float, LimitUse]  # by time [s], of those that fail for a leg beyond a limit alone
     overloads: dict[float, LimitUse]  # by time [s], of those that settle with forces beyond the legs' limit
+    timeout: float | None  # longest time that `camera.timeout` has room for [s]; None: it ends no search
+    reseeded: tuple[bool, ...]  # whether `fails_at` settles with each of some other seeds; empty: nothing is random
 
     @property
     def settles_to(self) -> float | None:
@@ -112,6 +116,13 @@ class Timing:
         if not self.tried.get(self.own, False):
             return None
         return max((time for time, good in self.tried.items() if time < self.own and not good), default=None)
+
+    @property
+    def settles_again(self) -> float | None:
+        """Largest time [s] above `fails_at` that was seen to settle; None where none was."""
+        failed = self.fails_at
+        larger = (time for time, good in self.tried.items() if good and failed is not None and time > failed)
+        return max(larger, default=None)
 
     @property
     def overloaded_from(self) -> float | None:
@@ -463,12 +474,22 @@ def _timing(base: Scenario, what: str, other: float, trial: _Trial) -> Timing:
     # A run of less than two periods shows nothing of them, and one shorter than the latency has no image.
     longest = base.simulation.duration / (2.0 if what == "period" else 1.0)
     shown = [tick for tick in _TICKS if tick * step < longest] or [1]
+    timeout = None
+    if (room := timeout_room(base)) is not None and own + room < shown[-1]:
+        shown = [*(tick for tick in shown if tick < own + room), own + room]
+        timeout = (own + room) * step
     run([own, *shown] if what == "period" else [0, own, *shown])
     for _ in range(ROUNDS):
         run(quarters(outwards(tried, own)))
     times = {tick * step: good for tick, good in tried.items()}
-    found = Timing(what, base.camera.prediction, other, own * step, times, None, beyond, overloads)
-    if found.fails_at is None or found.fails_at in beyond or trial.duration == trial.longer:
+    found = Timing(what, base.camera.prediction, other, own * step, times, None, beyond, overloads, timeout, ())
+    if found.fails_at is None:
+        return found
+    if is_random(base):
+        seeds = [seed for seed in range(_SEEDS + 1) if seed != base.seed][:_SEEDS]
+        again = {f"camera.{what}": np.full(_SEEDS, found.fails_at), "seed": np.array(seeds)}
+        found = replace(found, reseeded=tuple(bool(good) for good in trial.ends(again, base).settled))
+    if found.fails_at in beyond or trial.duration == trial.longer:
         return found
     longer = base.updated({"simulation.duration": trial.longer})
     settled = trial.ends({f"camera.{what}": np.array([found.fails_at])}, longer).settled

@@ -172,11 +172,13 @@ def _timing_words(found: LargestStart) -> list[str]:
                 parts.append(f"a {t.what} of {_milliseconds(t.fails_at)} {_failure(found, t)} {held}, some larger do")
             elif t.fails_at is None:
                 since = "" if t.fails_below is None else f"from {_milliseconds(t.own)} on, "
-                parts.append(f"every {t.what} tried {since}{within}, up to {_milliseconds(t.settles_to)}")
+                ends = "" if t.timeout is None else ", the longest that camera.timeout has room for"
+                parts.append(f"every {t.what} tried {since}{within}, up to {_milliseconds(t.settles_to)}{ends}")
             else:
                 parts.append(
                     f"a {t.what} of {_milliseconds(t.settles_to)} {within} and {_milliseconds(t.fails_at)} "
                     + _failure(found, t)
+                    + _doubt(t)
                 )
             if t.fails_below is not None:
                 parts[-1] += (
@@ -185,6 +187,16 @@ def _timing_words(found: LargestStart) -> list[str]:
                 )
         words.append(f"{_task(found)} {found.assumed}{_prediction(found, prediction)}: {'; '.join(parts)}.")
     return words
+
+
+def _doubt(timing: Timing) -> str:
+    """Return what speaks against a limit of a camera time: other seeds, and larger times that settle."""
+    doubts = []
+    if timing.reseeded:
+        doubts.append(f"with {len(timing.reseeded)} other seeds it settles in {sum(timing.reseeded)} runs")
+    if timing.settles_again is not None:
+        doubts.append(f"some larger ones settle, up to {_milliseconds(timing.settles_again)}")
+    return f" ({'; '.join(doubts)})" if doubts else ""
 
 
 def _task(found: LargestStart) -> str:
@@ -251,6 +263,11 @@ def _items(found: LargestStart) -> list[Item]:
                     (Column("settles up to", "ms", ".4g"), lambda t: _milli(t.settles_to)),
                     (Column("smallest that fails", "ms", ".4g"), lambda t: _milli(t.fails_at)),
                     (Column(longer), lambda t: None if t.settles_later is None else "yes" if t.settles_later else "no"),
+                    (
+                        Column("other seeds that settle"),
+                        lambda t: f"{sum(t.reseeded)} of {len(t.reseeded)}" if t.reseeded else None,
+                    ),
+                    (Column("settles again up to", "ms", ".4g"), lambda t: _milli(t.settles_again)),
                     (Column("fails below its own", "ms", ".4g"), lambda t: _milli(t.fails_below)),
                     (Column("limited by"), lambda t: None if t.limited_by is None else _LIMITING[t.limited_by]),
                     (
@@ -259,7 +276,7 @@ def _items(found: LargestStart) -> list[Item]:
                     ),
                     (Column("runs", "", "d"), lambda t: len(t.tried)),
                 ],
-                note="One seed where there is noise.",
+                note="Where there is noise: one seed, and others for the smallest time that fails.",
                 page=PAGE,
             )
         )
@@ -305,7 +322,7 @@ def _data(found: LargestStart) -> dict[str, Any]:
                 **picked(
                     t,
                     "what prediction other own settles_to fails_at settles_later fails_below limited_by "
-                    "overloaded_from",
+                    "overloaded_from timeout settles_again reseeded",
                 ),
                 "times": sorted(t.tried),
                 "settled": [t.tried[time] for time in sorted(t.tried)],

@@ -15,6 +15,7 @@ __all__ = [
     "displacement_parts",
     "displacement_words",
     "finite",
+    "in_ms",
     "motion_in_words",
     "number",
     "numbers",
@@ -34,6 +35,11 @@ def numbers(values: Array) -> str:
     """Write a list of numbers: "1.2, 3.4 and 5.6"."""
     texts = [number(value) for value in values]
     return ", ".join(texts[:-1]) + " and " + texts[-1] if len(texts) > 1 else texts[0]
+
+
+def in_ms(seconds: float) -> str:
+    """Write a time in milliseconds: "33 ms"."""
+    return f"{1e3 * seconds:.4g} ms"
 
 
 def along(vector: Array, *, signed: bool = False) -> str:

@@ -1,0 +1,114 @@
+"""Runs for the verdict on the camera as sentences (docs/analysis/camera_rate.md)."""
+
+from __future__ import annotations
+
+from hexservo.findings.analysis.camera_margins import Margins
+from hexservo.findings.analysis.camera_rate import OF_GROWTH, CameraRate
+from hexservo.findings.analysis.loop_of_scenario import OFFSET as START
+from hexservo.findings.analysis.words import in_ms, number
+from hexservo.run.leg_limits import LimitUse, limits_of_motion
+from hexservo.scenario.leg_units import leg_units
+
+_ENDINGS = {
+    "settles": "comes to rest",
+    "held": "is held where it starts",
+    "no nearer": "comes to rest no nearer to its goal than it started",
+    "goes on": "does not come to rest",
+    "limit": "takes a leg beyond a limit",
+    "ended": "ends early",
+    "open": "is undecided",
+}
+
+
+def starts_in_words(result: CameraRate, acting: Margins) -> list[str]:
+    """Describe how the runs from small starts end, and whether the verdict follows them."""
+    if not result.starts:
+        return ["No run from a small start checks this: the law refuses the image of rest as a goal."]
+    ends = " and ".join(
+        f"the one from {run.offset:g} px {_ENDINGS[run.ending]} (at most {number(run.peak)} px, at the "
+        f"end {number(run.end)} px, legs {number(1e3 * run.travel)} {_leg_unit(result)})"
+        for run in result.starts
+    )
+    longest = max(run.duration for run in result.starts)
+    text = f"Of runs of {longest:g} s from near the goal, with the scenario's K_v, {ends}"
+    if result.settles is None:
+        why = "they are inconclusive" if acting.stable and acting.drifts else "that is inconclusive"
+        return [f"{text}: {why}, and the verdict is that of the linear loop."]
+    if result.settles == acting.stable:
+        return [f"{text}, as the linear loop predicts."]
+    weights = "the initial weights of the fuzzy systems" if result.at_rest and result.at_rest.free.axes else "rest"
+    return [
+        f"{text}. The verdict follows these runs: the linear loop, taken at {weights}, is "
+        f"{'stable' if acting.stable else 'unstable'} and does not describe them."
+    ]
+
+
+def legs_in_words(result: CameraRate, tick: float) -> list[str]:
+    """Describe how stroke, speed and joints of the legs, which are not in the linear loop, limit period and latency."""
+    found = []
+    for key, border in result.limits.items():
+        if border.within is None:
+            found.append(f"With the scenario's own {key} the task {border.use.excess}.")
+        elif border.beyond is None:
+            found.append(
+                f"In runs of the task at each {key} tried, up to {in_ms(border.largest * tick)}, the legs stay within "
+                f"{_limits(result)} (at most {_use(border.use)})."
+            )
+        else:
+            kind = border.use.limit.kind
+            what = {"stroke": "The stroke limits", "speed": "The speed of the legs limits"}.get(
+                kind, f"The {kind.replace('_', ' ')}s limit"
+            )
+            found.append(
+                f"{what} the {key}: runs of the task keep the legs within {_limits(result)} up to "
+                f"{in_ms(border.within * tick)}; at {in_ms(border.beyond * tick)} the task {border.use.excess}."
+            )
+    return found
+
+
+def _limits(result: CameraRate) -> str:
+    """Return what the runs of the task are compared with."""
+    limits = limits_of_motion(result.scenario)
+    stroke = number(1e3 * result.scenario.robot.stroke)
+    return f"their stroke of {stroke} {_leg_unit(result)}" if len(limits) == 1 else "their limits"
+
+
+def _use(use: LimitUse) -> str:
+    """Return the largest value of a run, with what it is of if that is not the travel."""
+    unit, scale = use.limit.shown_unit
+    value = f"{number(scale * use.peak)} {unit}"
+    return value if use.limit.kind == "stroke" else f"{use.limit.of_leg} {value}, of {use.limit.text}"
+
+
+def border_runs_in_words(result: CameraRate) -> list[str]:
+    """Compare runs near the stability limit with the linear loop."""
+    if not result.runs:
+        return ["There was no stability limit to check by simulation."]
+    inside, outside = result.runs
+    name = {"gain": "gain", "latency": "latency", "period": "camera period"}[inside.key]
+    offsets = " and ".join(dict.fromkeys(f"{run.offset:g} px" for run in result.runs))
+    text = (
+        f"A numerical check by two runs with K_v = 0 near the stability limit in {name}, from {offsets}: inside "
+        f"predicted {inside.predicted:+.3g} 1/s, measured {inside.measured:+.3g} 1/s; outside "
+        f"{outside.predicted:+.3g} 1/s, measured {outside.measured:+.3g} 1/s."
+    )
+    if not (inside.agrees and outside.agrees):
+        if not any(run.conclusive and not run.agrees for run in result.runs):
+            change = max(abs(run.predicted) * run.duration for run in result.runs if not run.agrees)
+            return [
+                f"{text} That is inconclusive: the predicted growth changes the motion by {100.0 * change:.2g} % in "
+                f"{inside.duration:.3g} s, too little to be measured."
+            ]
+        return [text + " They disagree: the linear loop does not describe these runs."]
+    if any(run.offset < START for run in result.runs):
+        text += f" From {START:g} px a run behaves differently: this far from its goal the loop is not linear."
+    side = f", {100 * inside.apart:g} % on either side of the predicted one" if inside.key == "gain" else ""
+    text += f" The stability limit lies between these two runs{side}."
+    if not (inside.grows_as_predicted and outside.grows_as_predicted):
+        share = f"{100 * OF_GROWTH:g} %"
+        text += f" Their growth is not within {share} of the predicted: it has the predicted sign, and another size."
+    return [text]
+
+
+def _leg_unit(result: CameraRate) -> str:
+    return leg_units(result.scenario.robot).small
