@@ -491,6 +491,15 @@ def test_a_home_that_is_not_in_metres(paper: hs.Scenario) -> None:
         assert bool(lines) is found
 
 
+@pytest.mark.parametrize(("size", "named"), [(1e-3, "robot: joints 200 um from"), (2e-2, "robot.home_position: 150")])
+def test_joints_a_thousand_times_too_small_are_named_in_place_of_home(
+    paper: hs.Scenario, size: float, named: str
+) -> None:
+    """The joints of the base are 0.2 m from its middle: below 2 mm no machine with its home has them."""
+    small = {f"robot.{name}": size * getattr(paper.robot, name) for name in ("platform_radius", "base_radius")}
+    assert only(paper.updated(small), "robot: joints" if size < 1e-2 else "robot.home").startswith(named)
+
+
 def at_height(scenario: hs.Scenario, height: float) -> hs.Scenario:
     return scenario.updated({"robot.home_position": [0.0, 0.0, -height]})
 

@@ -471,7 +471,8 @@ def test_cranks_one_by_one(tmp_path: Path) -> None:
         (answers(p9="0"), 'expected a number from 0.0001 to 100000, got "0"'),
         (answers(p12="-1"), 'expected 0, or a number from 0.0001 to 100000, got "-1"'),
         (answers(p18="0.5 20"), 'expected numbers of at least 1, got "0.5 20"'),
-        (answers(p19="5 5 5 5 5"), "k1 k2 p1 p2 k3: expected a lens that shows the middle of the image"),
+        (answers(p19="5 5 5 5 5"), "k1 k2 p1 p2 k3: camera.distortion: expected a lens that shows all of an"),
+        (answers(p19="-0.9 0 0 0 0"), "p1 p2 k3: camera.distortion: expected a lens that shows all of an"),
         (answers(p20="1e6"), 'Frames per second [1/s]: expected a number from 0.1 to 10000, got "1e6"'),
         (answers(p23="1e9"), 'at home [mm]: expected a number from 1 to 100000, got "1e9"'),
         (answers(p25="0 0 0 0 0 400"), 'turn about x y z [deg]: expected turns within +-360, got "0 0 0 0 0 400"'),
@@ -503,11 +504,71 @@ def test_a_bad_answer_leaves_no_file(tmp_path: Path, given: list[str], words: st
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("rod", ["0.16", "40", "400"])
+def test_rods_that_do_not_close_are_refused_with_those_that_do(tmp_path: Path, rod: str) -> None:
+    """A rod may be as short or long as the platform's joint is near to or far from the circle of the crank's end.
+
+    That circle is upright, of 50 mm about a joint of the base, across its radius.
+    """
+    platform, base = 100 * np.exp(np.deg2rad(50) * 1j), 150 * np.exp(np.deg2rad(10) * 1j)
+    outwards, across = (platform - base) * np.exp(-np.deg2rad(10) * 1j) * np.array([1, -1j])
+    far = np.hypot(across.real, 160)
+    shortest, longest = (np.hypot(outwards.real, far + length) for length in (-50, 50))
+    done = answered(tmp_path / "bad.yaml", ["rotary", *[""] * 7, "", "", rod])
+    assert done.exit_code == 2, done.output
+    (low, high) = re.findall(r"expected a length from (\S+) to (\S+) mm, with which cranks and rods", done.stderr)[0]
+    np.testing.assert_allclose([float(low), float(high)], [shortest, longest], rtol=1e-3)  # four digits, inwards
+    assert f'got "{rod}"' in done.stderr
+    assert "At home the cranks" not in done.stdout
+    for fits in (low, high):
+        assert answered(tmp_path / f"{fits}.yaml", ["rotary", *[""] * 9, fits, *[""] * 30]).exit_code == 0
+
+
+def test_cranks_that_no_rods_of_one_length_close_are_refused(tmp_path: Path) -> None:
+    """The first joint of the base is 1 m off the others."""
+    joints = [*machine._default_joints("platform"), "1000 0 0", *machine._default_joints("base")[1:]]
+    done = answered(tmp_path / "bad.yaml", ["rotary", "joints", *joints, *[""] * 5])
+    assert done.exit_code == 2, done.output
+    assert "joints, home and cranks: expected ones that rods of one length close at home, got legs" in done.stderr
+
+
+def test_the_travel_of_a_crank_is_at_most_half_a_turn(tmp_path: Path) -> None:
+    for travel, code in (("-180 180", 0), ("-200 200", 2)):
+        done = answered(tmp_path / f"{code}.yaml", ["rotary", *[""] * 10, travel, *[""] * 30])
+        assert done.exit_code == code, done.output
+    assert 'least largest [deg]: expected numbers within +-180, got "-200 200"' in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("size", "k1", "words"),
+    [
+        ("640 480", 0.0, "camera.principal_point[0]: expected a pixel of the image, from -0.5 to 639.5"),
+        ("1280 960", -0.9, "camera.distortion: expected a lens that shows all of an image of 1280 x 960 px"),
+    ],
+)
+@pytest.mark.parametrize("in_file", [True, False])
+def test_a_calibration_without_an_image_is_refused_at_once(
+    tmp_path: Path, size: str, k1: float, words: str, in_file: bool
+) -> None:
+    width, height = size.split()
+    calibration = tmp_path / "calibration.yaml"
+    calibration.write_text(
+        (f"image_width: {width}\nimage_height: {height}\n" if in_file else "")
+        + f"camera_matrix: [905, 0, 650, 0, 903, 470, 0, 0, 1]\ndistortion_coefficients: [{k1}, 0, 0, 0, 0]\n",
+        encoding="utf-8",
+    )
+    done = answered(tmp_path / "bad.yaml", [*answers(p16="file")[:17], str(calibration), size, *[""] * 20])
+    assert done.exit_code == 2, done.output
+    question = "Calibration file (YAML)" if in_file else "Image size: width height [px]"
+    assert f"{question}: {words}, got " in done.stderr
+
+
 def test_legs_that_do_not_hold_are_refused_before_the_mass_is_asked_for(tmp_path: Path) -> None:
-    for kind in ("prismatic", "rotary"):
-        done = answered(tmp_path / "bad.yaml", [kind, *answers(p6="0 0 -1e-9")[1:], *[""] * 3])
+    flat, upside_down = answers(p6="0 0 -1e-9"), answers(p0="rotary", p7="180 0 0")
+    for given, words in ((flat, "joints and home: "), (upside_down, "joints, home and cranks: ")):
+        done = answered(tmp_path / "bad.yaml", given)
         assert done.exit_code == 2, done.output
-        assert "joints and home: " in done.stderr
+        assert words in done.stderr
         assert "Mass" not in done.stdout
 
 

@@ -12,10 +12,12 @@ import numpy as np
 import typer
 
 import hexservo as hs
+from hexservo.cli.cranks import ask_cranks
 from hexservo.cli.dialogue import Check, Dialogue, one_number
 from hexservo.cli.loop import ask_loop
-from hexservo.cli.parts import require_hold, shows_middle
+from hexservo.cli.parts import problem_of_image, require_hold
 from hexservo.cli.terminal import complain, errors_as_messages, interrupted, write
+from hexservo.cli.units import DEGREE, LEAST_LENGTH, metres, radians, rounded
 from hexservo.scenario.rules import LEAST_POINTS, MOST_POINTS, Name
 
 if TYPE_CHECKING:
@@ -24,10 +26,8 @@ if TYPE_CHECKING:
     from hexservo.findings.analysis.workspace import Reach
 
 _TITLE = "# Made by `hexservo new --machine`."
-_DEGREE = math.pi / 180.0
-_TURN = 360.0  # [deg], magnitude of an angle
+_TURN, _HALF_TURN = 360.0, 180.0  # [deg], magnitudes of an angle, and of a crank's travel
 _APART = (0.001, 119.999)  # [deg], of two joints in a pair: at 120 they would meet those of the next ones
-_LENGTH = 0.1  # [mm], at least
 _RESOLUTION = 1e-9  # [mm] or [deg], of an encoder, at least
 _OF_TRAVEL = 1e-4  # of the travel, resolution of an encoder that is not given
 _MASS = 1e-4  # [kg], at least
@@ -127,38 +127,38 @@ def _robot(dialogue: Dialogue) -> dict[str, Any]:
     if form == "circles":
         for side, radius, apart in (("platform", 100.0, 20.0), ("base", 150.0, 20.0)):
             robot[f"{side}_radius"] = 1e-3 * dialogue.number(
-                f"Radius of the {side} joints' circle [mm]", radius, _LENGTH
+                f"Radius of the {side} joints' circle [mm]", radius, LEAST_LENGTH
             )
-            angle = _DEGREE * dialogue.number(f"Angle between the two {side} joints of a pair [deg]", apart, *_APART)
-            robot[f"{side}_angles"] = [_rounded(value) for value in _pairs(side, angle)]
+            angle = DEGREE * dialogue.number(f"Angle between the two {side} joints of a pair [deg]", apart, *_APART)
+            robot[f"{side}_angles"] = [rounded(value) for value in _pairs(side, angle)]
         dialogue.say("Pairs of the base are about 0, 120 and 240 deg, pairs of the platform halfway between.")
     else:
         for side in ("platform", "base"):
             robot[f"{side}_joints"] = [
-                _metres(dialogue.numbers(f"Joint {leg} in the {side} frame: x y z [mm]", text, 3))
+                metres(dialogue.numbers(f"Joint {leg} in the {side} frame: x y z [mm]", text, 3))
                 for leg, text in enumerate(_default_joints(side), start=1)
             ]
     home = dialogue.numbers("Home of the platform frame in the base: x y z [mm]", "0 0 -160", 3)
-    robot["home_position"] = _metres(home)
-    attitude = _radians(
+    robot["home_position"] = metres(home)
+    attitude = radians(
         dialogue.numbers("Its attitude there: about x y z, axis times angle [deg]", "0 0 0", 3, within=_TURN)
     )
     if any(attitude):
         robot["home_attitude"] = attitude
     if rotary:
-        robot |= {"legs": "rotary", "cranks": _cranks(dialogue, robot)}
+        robot |= {"legs": "rotary", "cranks": ask_cranks(dialogue, robot)}
         require_hold(robot)
         travel = dialogue.numbers(
-            "Travel of a crank from home: least largest [deg]", "-40 40", 2, _about_home, within=_TURN
+            "Travel of a crank from home: least largest [deg]", "-40 40", 2, _about_home, within=_HALF_TURN
         )
-        robot["stroke"] = _radians(travel)
+        robot["stroke"] = radians(travel)
     else:
         require_hold(robot)
         travel = dialogue.numbers("Travel of a leg from home: shortest longest [mm]", "-15 15", 2, _about_home)
-        robot["stroke"] = _metres(travel)
+        robot["stroke"] = metres(travel)
     robot["gravity"] = 9.81
     robot["mass"] = dialogue.number("Mass of the platform with the camera [kg]", 5.0, _MASS)
-    centre = _metres(dialogue.numbers("Its centre of mass in the platform frame: x y z [mm]", "0 0 0", 3))
+    centre = metres(dialogue.numbers("Its centre of mass in the platform frame: x y z [mm]", "0 0 0", 3))
     if any(centre):
         robot["centre_of_mass"] = centre
     robot["inertia"] = _inertia(dialogue, robot)
@@ -173,7 +173,7 @@ def _robot(dialogue: Dialogue) -> dict[str, Any]:
             within=_INERTIA,
         )
         known = dialogue.choice("Does the controller count on the load", ("yes", "no")) == "yes"
-        robot["payload"] = {"mass": load, "position": _metres(place), "inertia": inertia, "known": known}
+        robot["payload"] = {"mass": load, "position": metres(place), "inertia": inertia, "known": known}
     weight = (robot["mass"] + load) * robot["gravity"]
     if rotary:
         torque = float(f"{weight * robot['cranks']['length']:.2g}")
@@ -181,68 +181,6 @@ def _robot(dialogue: Dialogue) -> dict[str, Any]:
     else:
         robot["force_limit"] = dialogue.number("Largest force of a leg [N]", float(f"{weight:.2g}"), *_EFFORTS)
     return robot
-
-
-def _cranks(dialogue: Dialogue, robot: dict[str, Any]) -> dict[str, Any]:
-    """Return the cranks, with those branches for which they stand nearest to their direction at angle 0 at home."""
-    from scipy.spatial.transform import Rotation
-
-    platform, base = (_joints(robot, side) for side in ("platform", "base"))
-    length = 1e-3 * dialogue.number("Length of a crank, from its axis to the rod [mm]", 50.0, _LENGTH)
-    dialogue.say("The base joints are the centres of the cranks.")
-    form = dialogue.choice("Axes of the cranks: away from the base's middle, or given one by one", ("radial", "given"))
-    if form == "radial":
-        axes = base * [1.0, 1.0, 0.0]
-        if not np.linalg.norm(axes, axis=1).all():
-            raise hs.ScenarioError(["axes of the cranks: expected joints beside the base's z axis for radial ones"])
-        # at angle 0 level, away from the other joint of the pair
-        zero = np.cross([0.0, 0.0, 1.0], axes) * np.tile([-1.0, 1.0], 3)[:, None]
-        dialogue.say("At angle 0 a crank is level and points away from the other one of its pair.")
-    else:
-        ways = [
-            [
-                dialogue.numbers(f"{what} of crank {leg}: x y z", default, 3, _direction)
-                for what, default in (("Axis", "1 0 0"), ("Direction at angle 0", "0 1 0"))
-            ]
-            for leg in range(1, 7)
-        ]
-        axes, zero = np.array(ways).swapaxes(0, 1)
-    axes = axes / np.linalg.norm(axes, axis=1)[:, None]
-    zero = zero - (zero * axes).sum(axis=1)[:, None] * axes
-    if (np.linalg.norm(zero, axis=1) < 1e-3).any():
-        raise hs.ScenarioError(["direction at angle 0: expected one at a right angle to the axis, got one along it"])
-    zero = zero / np.linalg.norm(zero, axis=1)[:, None]
-    turned = Rotation.from_rotvec(robot.get("home_attitude", [0.0] * 3)).apply(platform)
-    u = np.asarray(robot["home_position"]) + turned - base
-    closed = float(np.linalg.norm(u - length * zero, axis=1).mean())
-    rod = 1e-3 * dialogue.number("Length of a rod [mm]", float(f"{1e3 * closed:.4g}"), _LENGTH)
-    across, along = (u * zero).sum(axis=1), (u * np.cross(axes, zero)).sum(axis=1)
-    radius = 2.0 * length * np.hypot(across, along)
-    share = ((u * u).sum(axis=1) + length**2 - rod**2) / np.maximum(radius, 1e-300)
-    both = np.arctan2(along, across) + np.outer([1.0, -1.0], np.arccos(np.clip(share, -1.0, 1.0)))
-    angles = np.remainder(both + np.pi, 2.0 * np.pi) - np.pi
-    branch = np.where(np.abs(angles[0]) <= np.abs(angles[1]), 1, -1)
-    at_home = np.rad2deg(np.where(branch > 0, angles[0], angles[1]))
-    dialogue.say(f"At home the cranks are at {', '.join(f'{angle:.4g}' for angle in at_home)} deg.")
-    return {
-        "length": length,
-        "rod": rod,
-        "axes": [[_rounded(value) for value in row] for row in axes.tolist()],
-        "zero": [[_rounded(value) for value in row] for row in zero.tolist()],
-        "branch": branch.tolist(),
-    }
-
-
-def _joints(robot: dict[str, Any], side: str) -> np.ndarray:
-    """Return the joints (6, 3) of one side [m], in its frame."""
-    if f"{side}_joints" in robot:
-        return np.asarray(robot[f"{side}_joints"], dtype=float)
-    angles = np.asarray(robot[f"{side}_angles"])
-    return np.asarray(robot[f"{side}_radius"] * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(6)]))
-
-
-def _direction(values: list[float]) -> str | None:
-    return None if any(values) else "expected a direction, not three zeros"
 
 
 def _pairs(side: str, apart: float) -> list[float]:
@@ -257,7 +195,7 @@ def _pairs(side: str, apart: float) -> list[float]:
 
 def _default_joints(side: str) -> list[str]:
     radius = 150.0 if side == "base" else 100.0
-    angles = _pairs(side, 20.0 * _DEGREE)
+    angles = _pairs(side, 20.0 * DEGREE)
     return [f"{radius * math.cos(angle):.1f} {radius * math.sin(angle):.1f} 0" for angle in angles]
 
 
@@ -311,9 +249,9 @@ def _camera(dialogue: Dialogue) -> tuple[dict[str, Any], float, Rotation]:
     from scipy.spatial.transform import Rotation
 
     dialogue.say("Without a rotation the camera looks along -z of the platform frame: up, from a level platform.")
-    place = _metres(dialogue.numbers("Camera in the platform frame: x y z [mm]", "0 0 0", 3))
+    place = metres(dialogue.numbers("Camera in the platform frame: x y z [mm]", "0 0 0", 3))
     turn = dialogue.numbers("Its rotation there: about x y z, axis times angle [deg]", "0 0 0", 3, within=_TURN)
-    looks = Rotation.from_rotvec(_radians(turn))
+    looks = Rotation.from_rotvec(radians(turn))
     camera = _intrinsics(dialogue)
     camera["mount"] = {"position": place, **({"rotation": _vector(looks)} if any(turn) else {})}
     rate = dialogue.number("Frames per second [1/s]", 30.0, *_RATES)
@@ -330,19 +268,26 @@ def _intrinsics(dialogue: Dialogue) -> dict[str, Any]:
     def read(path: str) -> dict[str, Any]:
         if not path:
             raise ValueError("expected the name of a file")
-        return camera_from_file(path)  # its error is a ValueError
+        camera = camera_from_file(path)  # its error is a ValueError
+        problem = None if camera["image_size"] is None else problem_of_image(camera)
+        if problem is not None:
+            raise ValueError(problem)
+        return camera
 
     if dialogue.choice("Camera matrix: numbers, or a calibration file of OpenCV", ("numbers", "file")) == "file":
         camera: dict[str, Any] = dialogue.ask("Calibration file (YAML)", "", read)
     else:
         camera = {"focal_pixels": dialogue.number("Focal length, fx of OpenCV's camera matrix [px]", 1500.0, 1.0)}
     if camera.get("image_size") is None:
-        camera["image_size"] = dialogue.numbers("Image size: width height [px]", "1280 1024", 2, _image)
+
+        def fits(size: list[float]) -> str | None:
+            return _image(size) or problem_of_image({**camera, "image_size": size})
+
+        camera["image_size"] = dialogue.numbers("Image size: width height [px]", "1280 1024", 2, fits)
     if "distortion" not in camera:
 
         def shows(lens: list[float]) -> str | None:
-            seen = not any(lens) or shows_middle({**camera, "distortion": {"brown_conrady": lens}})
-            return None if seen else "expected a lens that shows the middle of the image, half as wide and high"
+            return problem_of_image({**camera, "distortion": {"brown_conrady": lens}})
 
         lens = dialogue.numbers("Distortion, as OpenCV has it: k1 k2 p1 p2 k3", "0 0 0 0 0", 5, shows)
         if any(lens):
@@ -372,7 +317,7 @@ def _target(
     distance = 1e-3 * dialogue.number("Distance of the target from the camera at home [mm]", 500.0, 1.0)
     most = 0.8e3 * min(image) * distance / focal  # [mm], four fifths of the image
     middle = camera + looks.apply([0.0, 0.0, -distance])
-    pose = [*(_rounded(value) for value in middle.tolist()), *_vector(looks)]
+    pose = [*(rounded(value) for value in middle.tolist()), *_vector(looks)]
 
     def fits(spaces: int) -> Check:
         largest = most / spaces
@@ -404,7 +349,7 @@ def _target(
         texts = [" ".join(f"{value:.5g}" for value in row) for row in 1e3 * (middle + looks.apply(plane)) + 0.0]
         target = {
             "points": [
-                _metres(dialogue.numbers(f"Point {number} in the base frame: x y z [mm]", text, 3, within=_POINT))
+                metres(dialogue.numbers(f"Point {number} in the base frame: x y z [mm]", text, 3, within=_POINT))
                 for number, text in enumerate(texts, start=1)
             ]
         }
@@ -414,7 +359,7 @@ def _target(
         6,
         _goal,
     )
-    return {**target, "desired_pose": [*_metres(goal[:3]), *_radians(goal[3:])]}
+    return {**target, "desired_pose": [*metres(goal[:3]), *radians(goal[3:])]}
 
 
 def _whole(values: list[float]) -> bool:
@@ -433,7 +378,7 @@ def _count(value: float) -> str | None:
 
 def _encoders(dialogue: Dialogue, robot: dict[str, Any]) -> dict[str, Any]:
     """Return the joint sensors: the resolution in brackets is at most 1/10000 of the travel, in one digit."""
-    unit, scale, most = ("deg", _DEGREE, 0.006) if "cranks" in robot else ("mm", 1e-3, 0.001)
+    unit, scale, most = ("deg", DEGREE, 0.006) if "cranks" in robot else ("mm", 1e-3, 0.001)
     travel = float(np.ptp(robot["stroke"])) / scale
     resolution = dialogue.number(
         f"Resolution of a leg's encoder, 0: not rounded [{unit}]",
@@ -442,7 +387,7 @@ def _encoders(dialogue: Dialogue, robot: dict[str, Any]) -> dict[str, Any]:
         travel,
         zero=True,
     )
-    return {"pose": "encoders", "resolution": _rounded(scale * resolution)}
+    return {"pose": "encoders", "resolution": rounded(scale * resolution)}
 
 
 def _explain(dialogue: Dialogue, scenario: hs.Scenario) -> None:
@@ -463,21 +408,9 @@ def _explain(dialogue: Dialogue, scenario: hs.Scenario) -> None:
 def _end(reached: Reach) -> float:
     """Return how far the platform goes along an axis [mm] or about it [deg]; at most half a turn is looked at."""
     if np.any(reached.direction[3:]):
-        return min(reached.distance, math.pi) / _DEGREE
+        return min(reached.distance, math.pi) / DEGREE
     return 1e3 * reached.distance
 
 
-def _metres(millimetres: list[float]) -> list[float]:
-    return [_rounded(1e-3 * value) for value in millimetres]
-
-
-def _radians(degrees: list[float]) -> list[float]:
-    return [_rounded(_DEGREE * value) for value in degrees]
-
-
 def _vector(rotation: Rotation) -> list[float]:
-    return [_rounded(value) + 0.0 for value in rotation.as_rotvec().tolist()]
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.9g}")
+    return [rounded(value) + 0.0 for value in rotation.as_rotvec().tolist()]

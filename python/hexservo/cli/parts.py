@@ -1,4 +1,4 @@
-"""Checks of the legs and of the lens alone by the core, for a machine that is not known as a whole."""
+"""Checks of the legs and of the camera alone by the core, for a machine that is not known as a whole."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from hexservo import _core
+from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.blocks import Blocks, Camera, Robot
 from hexservo.scenario.parameters import Settings, core_settings
 from hexservo.scenario.yaml import ScenarioError
@@ -29,14 +30,23 @@ def require_hold(robot: dict[str, Any]) -> None:
         raise ScenarioError([f"joints and home: {str(error).partition(': ')[2]}"]) from None
 
 
-def shows_middle(camera: dict[str, Any]) -> bool:
-    """Return whether a camera's lens shows the middle of its image, half as wide and half as high."""
-    corners = _CORNERS * camera["image_size"] / 4.0  # [px], from the image centre
-    return bool(np.isfinite(_settings(camera=Camera(**camera)).camera.features(corners)).all())
+def problem_of_image(camera: dict[str, Any]) -> str | None:
+    """Return what the core expects of a camera's image and lens, "camera.distortion: expected ..."; None: they fit.
+
+    The camera has an `image_size`.
+    """
+    middle = camera.get("principal_point") or [0.0, 0.0]
+    square = (_CORNERS + middle).ravel().tolist()  # within the image, if the principal point is
+    target = {"initial_features": square, "desired_features": square}
+    try:
+        _settings(camera=Camera(**camera), target=target, simulation={"mode": SAMPLED_MODE}).validate()
+    except ValueError as error:
+        return str(error).partition(", got ")[0]
+    return None
 
 
 def _settings(**blocks: Any) -> Settings:
-    """Return the core's settings of some blocks, not checked; the target is any."""
+    """Return the core's settings of some blocks, not checked; the target is any where none is given."""
     square = _CORNERS.ravel().tolist()
     target = {"initial_features": square, "desired_features": square}
     return core_settings(Blocks.model_validate({"name": "parts", "target": target, **blocks}))

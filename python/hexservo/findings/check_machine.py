@@ -48,7 +48,12 @@ def _of_size(scene: Scene) -> Iterator[str]:
             f"robot: a platform of {quantity(radius, 'm')} radius, {quantity(height, 'm')} from the base at home, is "
             "very small; are its numbers in the unit that is asked for (metres in a file, mm in `hexservo new`)?"
         )
-    if height > _FAR * joints:
+    if height > _FAR * joints and joints < _MICROSCOPIC:
+        yield (
+            f"robot: joints {quantity(joints, 'm')} from the middle, with home {quantity(height, 'm')} from the base, "
+            "are very near to it; are they in the unit that is asked for (metres in a file, mm in `hexservo new`)?"
+        )
+    elif height > _FAR * joints:
         yield (
             f"robot.home_position: {quantity(height, 'm')} from the base is more than {_FAR:.0f} times the "
             f"{quantity(joints, 'm')} from the middle to the joints; lengths are in metres: in mm it would be "
