@@ -55,7 +55,8 @@ class Loop:
             document = self._document(machine, parts)
             scenario = hs.Scenario.from_mapping(document)
         step = 1e3 * scenario.simulation.step
-        dialogue.say(f"The servo period is {step:.4g} ms, {f'1/{parts} of' if parts > 1 else ''} the frame period.")
+        share = f"1/{parts} of " if parts > 1 else ""
+        dialogue.say(f"The servo period is {step:.4g} ms, {share}the frame period.")
         return document, scenario
 
     def _parts(self, longest: float) -> int:
