@@ -346,6 +346,26 @@ def test_joints_one_by_one(tmp_path: Path) -> None:
         assert np.array(given).shape == (6, 3)
 
 
+@pytest.mark.parametrize(
+    ("order", "holds"),
+    [([0, 1, 2, 3, 4, 5], True), ([5, 4, 3, 2, 1, 0], False), ([1, 2, 3, 4, 5, 0], False)],
+    ids=["right", "reversed", "shifted"],
+)
+def test_joints_in_another_order_are_named_as_such(tmp_path: Path, order: list[int], holds: bool) -> None:
+    """Typed with six digits they are singular but for 1e-8, which the core takes for legs that hold."""
+
+    def on_circle(radius: float, degrees: list[float]) -> list[str]:
+        return [f"{radius * np.cos(a):.6g} {radius * np.sin(a):.6g} 0" for a in np.deg2rad(degrees)]
+
+    platform = on_circle(100.0, [-50, 50, 70, 170, 190, 290])
+    base = on_circle(150.0, [-10, 10, 110, 130, 230, 250])
+    given = ["", "joints", *(platform[k] for k in order), *base, *[""] * 33]
+    done = answered(tmp_path / "joints.yaml", given)
+    assert done.exit_code == (0 if holds else 2), done.output
+    assert ("in the order of the legs, both counted the same way round" in done.stderr) != holds
+    assert ("Mass" in done.stdout) == holds
+
+
 def corners_seen(scenario: hs.Scenario) -> NDArray[np.float64]:
     """Pixels of the target from home, (n, 2), from the image centre."""
     size = np.asarray(scenario.camera.image_size)
