@@ -66,6 +66,19 @@ def test_metres_for_millimetres_are_warned_of(tmp_path: Path) -> None:
     assert "mm in `hexservo new`" in done.stderr
 
 
+@pytest.mark.parametrize("commands", ["forces", "positions"])
+def test_a_far_tag_is_proposed_as_large_as_the_image_needs(tmp_path: Path, commands: str) -> None:
+    """100 mm at 3 m leave the pose open by 720 mm: legs that take positions went to the ends of their stroke."""
+    file = tmp_path / "far.yaml"
+    done = answered(file, [*answers(p23="3000", p27=commands), *[""] * 5])
+    assert done.exit_code == 0, done.output
+    scenario = hs.load_scenario(file)
+    assert scenario.actuators.kind == commands.removesuffix("s")
+    points = np.array(scenario.target.points)
+    assert np.ptp(points[:, 0]) == pytest.approx(6.0 * 0.082, rel=0.01)  # six times as far as by default
+    assert hs.metrics(hs.simulate(scenario))["settling_time"] < 1.5
+
+
 def test_a_tag_too_small_for_a_law_is_warned_of(tmp_path: Path) -> None:
     """By `hexservo check`: such a file is legal."""
     file = tmp_path / "mine.yaml"

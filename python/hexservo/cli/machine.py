@@ -329,7 +329,7 @@ def _target(
         return check
 
     def ask(question: str, spaces: int) -> float:
-        default = min(100.0, float(f"{0.3 * most / spaces:.2g}"))
+        default = float(f"{0.3 * most / spaces:.2g}")
         return 1e-3 * float(dialogue.ask(question, f"{default:g}", one_number, fits(spaces)))
 
     target: dict[str, Any]
