@@ -292,16 +292,18 @@ class _Worker:
         """Return `slowest` at a place for depth errors (n, p)."""
         return self.slowest(self.known(place, errors), self.true[place], *prior)
 
-    def by_late_image_alone(self, errors: Array) -> Mask:
-        """Return for which depth errors (n, p) e grows by a late image alone: E is large, a fresh image stops it."""
+    def by_late_image_alone(self, errors: Array, rates: list[Complex]) -> Mask:
+        """Return for which depth errors (n, p) e grows by a late image alone: E is large, a fresh image stops it.
+
+        `rates` are those of `slowest_at`, (n,) for each place.
+        """
         found = np.zeros(len(errors), dtype=bool)
         if self.late is None:
             return found
         for place, true in enumerate(self.true):
             known = self.known(place, errors)
             large = np.abs(np.linalg.eigvals(self.matrix(known, true))).max(axis=1) > _LARGE
-            grows = self.slowest(known, true).real <= 0.0
-            found |= large & grows & (self.slowest(known, true, fresh=True).real > 0.0)
+            found |= large & (rates[place].real <= 0.0) & (self.slowest(known, true, fresh=True).real > 0.0)
         return found
 
     def patterns(self, errors: Array) -> tuple[Pattern, ...]:
@@ -320,7 +322,7 @@ class _Worker:
         if len(self.places) > 1:
             at_goal = np.linalg.eigvals(self.matrix(self.known(1, errors), self.true[1])).real.min(axis=1)
             goal_rates = self.slowest_at(1, errors)
-        late_alone = self.by_late_image_alone(errors)
+        late_alone = self.by_late_image_alone(errors, [rates, goal_rates])
         found = []
         for i, error in enumerate(errors):
             least = int(np.argmin(values[i].real))

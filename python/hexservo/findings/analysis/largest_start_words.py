@@ -9,7 +9,7 @@ import numpy as np
 
 from hexservo.findings.analysis.goal import SHOWN
 from hexservo.findings.analysis.largest_start import Direction, LargestStart, Timing
-from hexservo.findings.analysis.words import finite, number, open_section
+from hexservo.findings.analysis.words import finite, in_ms, number, open_section
 from hexservo.findings.evidence import Column, Curves, Item, Line, Section, Table, Verdict, picked
 from hexservo.scenario.laws import LAWS
 from hexservo.scenario.wording import apart
@@ -139,7 +139,7 @@ def _force_words(found: LargestStart) -> list[str]:
     if count := sum(d.overloaded_from is not None for d in others):
         places.append(f"along {count} of {len(others)} axes and rotations")
     places += [
-        f"with a camera {t.what} from {1e3 * time:.4g} ms on, {_prediction(found, t.prediction)}"
+        f"with a camera {t.what} from {in_ms(time)} on, {_prediction(found, t.prediction)}"
         for t in found.timings
         if (time := t.overloaded_from) is not None
     ]
@@ -166,24 +166,23 @@ def _timing_words(found: LargestStart) -> list[str]:
             held = f"at a {other} of {1e3 * t.other:.3g} ms"
             within = f"settles within {found.duration:g} s {held}"
             if t.settles_to is None and not any(t.tried.values()):
-                later = "" if t.settles_later is None else f" ({_milliseconds(t.fails_at)} {_failure(found, t)})"
+                later = "" if t.settles_later is None else f" ({in_ms(t.fails_at or 0.0)} {_failure(found, t)})"
                 parts.append(f"no {t.what} that was tried {within}{later}")
             elif t.settles_to is None:
-                parts.append(f"a {t.what} of {_milliseconds(t.fails_at)} {_failure(found, t)} {held}, some larger do")
+                parts.append(f"a {t.what} of {in_ms(t.fails_at or 0.0)} {_failure(found, t)} {held}, some larger do")
             elif t.fails_at is None:
-                since = "" if t.fails_below is None else f"from {_milliseconds(t.own)} on, "
+                since = "" if t.fails_below is None else f"from {in_ms(t.own)} on, "
                 ends = "" if t.timeout is None else ", the longest that camera.timeout has room for"
-                parts.append(f"every {t.what} tried {since}{within}, up to {_milliseconds(t.settles_to)}{ends}")
+                parts.append(f"every {t.what} tried {since}{within}, up to {in_ms(t.settles_to or 0.0)}{ends}")
             else:
                 parts.append(
-                    f"a {t.what} of {_milliseconds(t.settles_to)} {within} and {_milliseconds(t.fails_at)} "
+                    f"a {t.what} of {in_ms(t.settles_to or 0.0)} {within} and {in_ms(t.fails_at or 0.0)} "
                     + _failure(found, t)
                     + _doubt(t)
                 )
             if t.fails_below is not None:
                 parts[-1] += (
-                    f" (one of {_milliseconds(t.fails_below)}, below the scenario's own, does not within "
-                    f"{found.duration:g} s)"
+                    f" (one of {in_ms(t.fails_below)}, below the scenario's own, does not within {found.duration:g} s)"
                 )
         words.append(f"{_task(found)} {found.assumed}{_prediction(found, prediction)}: {'; '.join(parts)}.")
     return words
@@ -195,7 +194,7 @@ def _doubt(timing: Timing) -> str:
     if timing.reseeded:
         doubts.append(f"with {len(timing.reseeded)} other seeds it settles in {sum(timing.reseeded)} runs")
     if timing.settles_again is not None:
-        doubts.append(f"some larger ones settle, up to {_milliseconds(timing.settles_again)}")
+        doubts.append(f"some larger ones settle, up to {in_ms(timing.settles_again)}")
     return f" ({'; '.join(doubts)})" if doubts else ""
 
 
@@ -204,10 +203,6 @@ def _task(found: LargestStart) -> str:
     if found.from_home:
         return "The task's goal, from home at rest instead of the task's own start (simulation.start),"
     return "The task itself," if found.timings else "The task itself"
-
-
-def _milliseconds(time: float | None) -> str:
-    return f"{1e3 * (time or 0.0):.4g} ms"
 
 
 def _failure(found: LargestStart, tried: Direction | Timing) -> str:
