@@ -457,19 +457,8 @@ class WrenchMapSolver {
  private:
   /// Lower triangle of H H^T; the solver reads no more.
   static Matrix6<S> gram(const WrenchMapRows<S>& H) {
-    Matrix6<S> G;
-    // Two products at a time.
-#pragma GCC unroll 6
-    for (int j = 0; j < 6; ++j)
-#pragma GCC unroll 6
-      for (int i = j; i < 6; i += 2) {
-        const auto place = [](int k) { return static_cast<std::size_t>(k); };
-        const int next = i + 1 < 6 ? i + 1 : i;
-        const auto [first, second] = dots(H[place(i)], H[place(j)], H[place(next)], H[place(j)]);
-        G(i, j) = first;
-        G(next, j) = second;
-      }
-    return G;
+    return lower_lane_sums<S>(
+        [&H](int i, int j) { return (H[static_cast<std::size_t>(i)] * H[static_cast<std::size_t>(j)]).lane_total(); });
   }
 
   S inverse_radius_;
