@@ -14,7 +14,7 @@ from hexservo.scenario.wording import number, quantity
 
 _DEVIATIONS = 3.0  # of the features that metrics.band should hold
 _OF_RANGE = 0.1  # of a fuzzy input, deviation of its noise from which on the weights follow it
-_AMPLIFIED = 10.0  # times the readings in the image that the features then move, in runs 1.4 to 22 times
+_AMPLIFIED = 10.0  # times the readings in the image that the features then move, in runs 1.4 to 22 times, once 60
 
 
 def of_joints(scene: Scene) -> Iterator[str]:
@@ -35,15 +35,15 @@ def of_joints(scene: Scene) -> Iterator[str]:
     band = f"metrics.band, {number(scene.band)} px"
     if fuzzy > _OF_RANGE and _DEVIATIONS * _AMPLIFIED * pixels > scene.band:
         yield (
-            f"{head}, and their rates, differences over {quantity(_between(scene), 's')}, are {number(fuzzy, 2)} in the "
-            f"second fuzzy input of {law}, which has a range of 1 either way: the weights follow that noise, which may "
+            f"{head}, and their rates, differences over {quantity(_between(scene), 's')}, are {number(fuzzy, 2)} in "
+            f"the second fuzzy input of {law}, which ranges from -1 to 1: the weights follow that noise, which may "
             f"move the image by ten times the readings and out of {band}; take finer encoders, or "
             f"controller.{law}.fuzzy.enabled: false"
         )
     elif _DEVIATIONS * pixels > scene.band:
         yield (
-            f"{head}, and the law steers and damps by them: the image moves by a fifth of that to twice as much, and may "
-            f"not stay within {band}; take finer encoders"
+            f"{head}, and the law steers and damps by them: the image moves by a fifth of that to twice as much, and "
+            f"may not stay within {band}; take finer encoders"
         )
 
 

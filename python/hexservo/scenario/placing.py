@@ -19,7 +19,6 @@ from hexservo.scenario.rules import Vector
 from hexservo.scenario.tag import corners, nodes, normal, rotation_matrix
 from hexservo.scenario.wording import number, quantity
 
-
 _BESIDE = math.tan(math.radians(80.0))  # of a point to the optical axis, over its depth: few lenses show more
 
 
