@@ -146,7 +146,7 @@ def _problem_of_size(scenario: Blocks, written: Target) -> str | None:
     scenario
         With the points of its target, if it has any.
     written
-        The target as it was given, by its tag, its grid or its points.
+        The target of the file, by its tag, its grid or its points.
     """
     points = scenario.target.points
     if points is None:
