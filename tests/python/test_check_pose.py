@@ -115,7 +115,8 @@ def test_a_prior_keeps_noise_from_the_legs() -> None:
     by_prior = small_tag(10.0, "pbvs")
     assert not about(by_prior, "target: at the start")
     assert hs.metrics(hs.simulate(by_prior))["peak_leg_excursion"] < 0.6 * Scene(by_prior).stroke
-    (line,) = about(small_tag(10.0, "pbvs", **{"controller.pbvs.prior": 0.0}), "target: at the start")
+    by_image: dict[str, Any] = {"controller.pbvs.prior": 0.0}
+    (line,) = about(small_tag(10.0, "pbvs", **by_image), "target: at the start")
     assert line.endswith("or a larger controller.pbvs.prior")
 
 
@@ -169,7 +170,7 @@ def moved_by_readings(scenario: hs.Scenario) -> float:
 @pytest.mark.parametrize("name", [FORCES, "moog-6dof2000e"])
 @pytest.mark.parametrize("key", ["resolution", "noise"])
 def test_readings_move_the_image_as_is_warned_of(name: str, key: str) -> None:
-    law = {"controller.law": "pbvs", "controller.pbvs.auto.bandwidth": 1.0}
+    law: dict[str, Any] = {"controller.law": "pbvs", "controller.pbvs.auto.bandwidth": 1.0}
     for times, warned in ((0.9, False), (3.0, True)):
         scenario = readings(name, times, key, **law)
         found = about(scenario, f"sensors.{key} of ")
@@ -212,7 +213,7 @@ def test_rates_that_no_fuzzy_input_has_as_noise() -> None:
 
 
 def test_legs_that_take_positions_rest_within_the_rounding() -> None:
-    law = {"controller.law": "pbvs", "controller.pbvs.auto.bandwidth": 1.0}
+    law: dict[str, Any] = {"controller.law": "pbvs", "controller.pbvs.auto.bandwidth": 1.0}
     for times, warned in ((2.0, False), (9.0, True)):
         scenario = readings(POSITIONS, times, **law)
         assert bool(about(scenario, "sensors.resolution of ")) == warned
