@@ -28,7 +28,7 @@ _PARTS = 10  # of a run, whose motions are compared
 _QUIET, _MOVING = 0.05, 0.5  # of the largest motion: the last part has less at rest, and more where it goes on
 _HELD = 0.95  # of the starting error, at least, is left at the end of a run that K_v holds there
 _SMALL = 0.05  # of `metrics.band`, within which a motion that goes on is no failure
-_LATE, _GROWN = 8, 1.25  # parts of a run after which its error is at most so many times that before, if it does not grow
+_LATE, _GROWN = 8, 1.25  # parts of a run, after which its error is at most so many times that before, or it grows
 _GRID = 12  # clocks in the first round of a search for the stroke's border
 
 Ending: TypeAlias = Literal["settles", "held", "no nearer", "hunts", "goes on", "limit", "ended", "open"]
@@ -106,8 +106,8 @@ def _start_run(home: Scenario, offset: float, goal: Array) -> StartRun:
             ending = "hunts"
         late = float(errors[len(errors) // 2 :].max())
         found = StartRun(offset, ticks * tick, ending, float(errors.max()), float(errors[-1]), late, travel)
-        if ending not in ("no nearer", "hunts", "goes on", "open"):  # what learns, or decays slowly, may only need longer
-            break
+        if ending not in ("no nearer", "hunts", "goes on", "open"):
+            break  # what learns, or decays slowly, may only need longer
     assert found is not None
     return found
 
@@ -166,7 +166,8 @@ def limit_border(task: Scenario, key: Literal["period", "latency"], clock: Clock
     uses: dict[int, LimitUse] = {}
 
     def used(base: Scenario, ticks: Sequence[int]) -> list[LimitUse]:
-        batch = whole(simulate_batch(base, {f"camera.{key}": np.array([value * tick for value in ticks])}, log="metrics"))
+        values = np.array([value * tick for value in ticks])
+        batch = whole(simulate_batch(base, {f"camera.{key}": values}, log="metrics"))
         rows = [most_used(base, metrics_of(batch, row)) for row in range(len(ticks))]
         # A run that ends early has no number of the legs, but the task was not done: the camera is too slow.
         done = [outcome in ("completed", "leg_limit") for outcome in batch.outcome]
