@@ -76,8 +76,8 @@ def steady_line(filtered: SteadyFilter, velocity: Array, certainty: float, perio
     The filter is at the target, without a lag, and all readings are. So a line that began with a place worth n frames
     has the mean time t = T k (k + 1)/(2 (n + k)) after k more frames, the mean place that the target then had, and the
     sum of squares T^2 (k (k + 1)(2 k + 1)/6) - (n + k) t^2; it is behind by the part of the velocity that does not
-    count, over the time since (docs/model.md, section 5). With the noise that the filter
-    assumes, the square of d deviations has about the mean d^2 + 6 and the deviation 2 d, each frame by itself.
+    count, over the time since (docs/model.md, section 5). With the noise that the filter assumes, the square of d
+    deviations has about the mean d^2 + 6 and the deviation 2 d, each frame by itself.
 
     Parameters
     ----------
