@@ -14,7 +14,7 @@ from hexservo.findings.analysis.largest_start import Direction, LargestStart
 from hexservo.findings.analysis.largest_start_words import _sentences, _timing_words, border_words
 from hexservo.findings.analysis.largest_times import camera_times
 from hexservo.findings.analysis.scene import Scene, scene_of
-from hexservo.findings.analysis.settling_runs import Trial, border
+from hexservo.findings.analysis.settling_runs import SettlingRuns, border
 
 
 @pytest.fixture(scope="module")
@@ -175,7 +175,7 @@ def test_the_papers_law_needs_a_fast_camera_or_prediction(found: LargestStart, p
 
 def timings_of(scenario: hs.Scenario) -> LargestStart:
     """Give the camera times alone."""
-    trial = Trial(scenario)
+    trial = SettlingRuns(scenario)
     timings, assumed = camera_times(scenario, trial)
     return LargestStart(scenario.controller.law, "", (), timings, trial.duration, trial.longer, assumed=assumed)
 
@@ -372,13 +372,13 @@ def test_a_task_with_its_own_start_is_said_to_run_from_home(found: LargestStart,
 
 def test_a_task_that_needs_longer_gets_longer() -> None:
     scenario = hs.load_scenario("paper-no-fuzzy")
-    trial = Trial(scenario)
+    trial = SettlingRuns(scenario)
     assert trial.task_settles
     assert trial.duration == 10.0  # it settles after 5.06 s
 
 
 def test_a_goal_that_the_core_refuses_is_no_run(paper: hs.Scenario) -> None:
-    trial = Trial(paper)
+    trial = SettlingRuns(paper)
     before = trial.runs
     goals = np.tile(np.array(paper.target.desired_features), (3, 1))
     goals[1] += 2e4  # more than 1e4 px away
@@ -494,7 +494,7 @@ def test_a_task_needs_a_margin_to_the_force_limit(found: LargestStart, paper: hs
     assert own is not None
     tight = paper.updated({"robot.force_limit": 0.9 * hs.metrics(hs.simulate(paper))["peak_leg_force"]})
     goal = {"target.desired_features": np.array([paper.target.desired_features])}
-    (more,) = Trial(tight).ends(goal).overloads
+    (more,) = SettlingRuns(tight).ends(goal).overloads
     assert more is not None
     for size, verdict in ((1.0, "warning"), (1.3, "good")):
         overloaded = replace(own, tried={**own.tried, size: True}, overloads={size: more})

@@ -27,7 +27,7 @@ class Repeat:
         return all(run.rests for run in self.runs)
 
 
-def repeats(home: Scenario, clock: Clock, *, learns: bool, rest: bool) -> tuple[Repeat, ...]:
+def repeated_starts(home: Scenario, clock: Clock, *, learns: bool, rest: bool) -> tuple[Repeat, ...]:
     """Repeat runs from small starts without what may be the cause of their ending, and with a perfect camera.
 
     Parameters

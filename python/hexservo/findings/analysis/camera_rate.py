@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from hexservo.findings.analysis.camera_causes import Repeat, repeats
+from hexservo.findings.analysis.camera_causes import Repeat, repeated_starts
 from hexservo.findings.analysis.camera_margins import (
     Margins,
     crossing,
@@ -299,7 +299,7 @@ def _repeats(result: CameraRate, at_rest: LoopAtRest, clock: Clock) -> tuple[Rep
     if result.settles is None or not (hunting or (result.acting and result.settles != result.acting.stable)):
         return ()
     rest = all(run.rests for run in result.starts)
-    return repeats(at_rest_at_home(at_rest), clock, learns=bool(at_rest.free.axes), rest=rest)
+    return repeated_starts(at_rest_at_home(at_rest), clock, learns=bool(at_rest.free.axes), rest=rest)
 
 
 def _learned(at_rest: LoopAtRest, margins_of: Callable[[SampledLoop], Margins], smooth: bool) -> Margins | None:

@@ -15,7 +15,7 @@ from hexservo.findings.analysis.largest_times import Timing, camera_times
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.reach import nearest_limit
 from hexservo.findings.analysis.scene import AT_HOME, WIDER, Scene, scene_of
-from hexservo.findings.analysis.settling_runs import Trial, Tried, border, first_overload
+from hexservo.findings.analysis.settling_runs import SettlingRuns, Tried, border, first_overload
 from hexservo.findings.analysis.tried import ROUNDS
 from hexservo.findings.part import Part
 from hexservo.run.goal_distance import inexact
@@ -112,7 +112,7 @@ def analyse(scenario: Scenario) -> LargestStart:
     if scenario.camera.convention == "as_printed":
         return LargestStart(law, "A camera as_printed has no points in space, so goals have no pose: not tried.")
     scene = scene_of(scenario)
-    trial = Trial(scenario)
+    trial = SettlingRuns(scenario)
     goals = find_goals(scene)
     assert goals is not None  # as the camera has points
     at_goal = bool(scene.residual(scene.home) <= inexact(scene.band))
@@ -145,7 +145,7 @@ def analyse(scenario: Scenario) -> LargestStart:
 # ---- Starting errors ------------------------------------------------------------------------------------------------
 
 
-def _directions(scene: Scene, trial: Trial, own: Array | None) -> tuple[tuple[Direction, ...], str]:
+def _directions(scene: Scene, trial: SettlingRuns, own: Array | None) -> tuple[tuple[Direction, ...], str]:
     """Try goals along the task's own way, if it has one, the axes and the rotations, all in one batch per round.
 
     Ways along which no goal is possible are left out; also return what limits the task's own if it is among them.
@@ -220,7 +220,7 @@ def _smallest_failing(scene: Scene, ways: list[Direction]) -> tuple[list[int], A
     return rows, scene.pixels(scene.home.moved(moves))
 
 
-def _settles_later(scene: Scene, trial: Trial, ways: list[Direction]) -> list[bool | None]:
+def _settles_later(scene: Scene, trial: SettlingRuns, ways: list[Direction]) -> list[bool | None]:
     """Run the smallest sizes that fail for longer, since they may only be slow."""
     rows, goals = _smallest_failing(scene, ways)
     found: list[bool | None] = [None] * len(ways)
@@ -231,7 +231,7 @@ def _settles_later(scene: Scene, trial: Trial, ways: list[Direction]) -> list[bo
     return found
 
 
-def _reseeded(scene: Scene, trial: Trial, ways: list[Direction]) -> list[tuple[bool, ...]]:
+def _reseeded(scene: Scene, trial: SettlingRuns, ways: list[Direction]) -> list[tuple[bool, ...]]:
     """Run the smallest sizes that fail with other seeds, where runs are random."""
     rows, goals = _smallest_failing(scene, ways)
     found: list[tuple[bool, ...]] = [()] * len(ways)

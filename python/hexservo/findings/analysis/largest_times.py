@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hexservo.findings.analysis.settling_runs import Trial, Tried, first_overload
+from hexservo.findings.analysis.settling_runs import SettlingRuns, Tried, first_overload
 from hexservo.findings.analysis.tried import ROUNDS, bordering, outwards, quarters
 from hexservo.run.leg_limits import LimitUse
 from hexservo.scenario.laws import LAWS, laws_with
@@ -71,7 +71,7 @@ class Timing:
         return self.beyond[self.fails_at].limit.kind if self.fails_at in self.beyond else "error"
 
 
-def camera_times(scenario: Scenario, trial: Trial) -> tuple[tuple[Timing, ...], str]:
+def camera_times(scenario: Scenario, trial: SettlingRuns) -> tuple[tuple[Timing, ...], str]:
     """Try periods and latencies for the task itself, in the sampled loop."""
     assumed, changes = "", {}
     if scenario.simulation.mode != "sampled":
@@ -94,7 +94,7 @@ def camera_times(scenario: Scenario, trial: Trial) -> tuple[tuple[Timing, ...], 
     return tuple(found), assumed
 
 
-def _timing(base: Scenario, what: str, other: float, trial: Trial) -> Timing:
+def _timing(base: Scenario, what: str, other: float, trial: SettlingRuns) -> Timing:
     """Try one time of the camera: a grid, then between the last that settles and the first that fails, in ticks."""
     step = base.simulation.step
     own = round((frame_period(base) if what == "period" else base.camera.latency) / step)

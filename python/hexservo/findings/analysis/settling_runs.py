@@ -52,7 +52,7 @@ class Ends:
     ran: Mask  # False: refused by the core
 
 
-class Trial:
+class SettlingRuns:
     """Runs variations of a scenario for one duration, and counts them."""
 
     def __init__(self, scenario: Scenario) -> None:
