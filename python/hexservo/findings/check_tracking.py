@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
-from hexservo import _core
 from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.check_gains import SELDOM, share_of_restarts
 from hexservo.findings.check_gate import moved_between_frames
+from hexservo.findings.target_line import SteadyFilter, longest_behind, steady_line
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.laws import Tracking
 from hexservo.scenario.parameters import frame_period
@@ -65,9 +64,10 @@ def _of_motion(scene: Scene, gains: Tracking) -> Iterator[str]:
         return
     if of_pose:
         steady = motion.kind == "velocity"
-        if steady and filtered.on_one_line(moving[best], gains.certainty, period):
-            return
-        pixels = _behind(scene, gains, filtered, moving[best], float(speeds.max()))
+        if steady:
+            pixels = _behind_steady(scene, gains, filtered, moving[best])
+        else:
+            pixels = _behind(scene, gains, filtered, moving[best], float(speeds.max()))
         if pixels <= scene.band:
             return
         ends = (
@@ -92,58 +92,31 @@ def _of_motion(scene: Scene, gains: Tracking) -> Iterator[str]:
 
 
 def _behind(scene: Scene, gains: Tracking, filtered: SteadyFilter, velocity: Array, speed: float) -> float:
-    """Return how far behind a slow target is followed at most, in pieces of straight lines [px].
+    """Return how far behind a slow target that does not move steadily is followed at most, about [px].
 
-    By what the filter may be off its line, one frame's way at least, and by the lag of the reference, which starts
-    again with every piece.
+    In pieces of straight lines: by what the filter may be off its line, one frame's way at least, and by the lag of
+    the reference, which starts again with every piece.
     """
     ahead = velocity / np.linalg.norm(velocity)
     off_line = filtered.off_line / float(filtered.in_deviations(ahead[None], filtered.place)[0])
     lag = speed / (math.pi * gains.bandwidth)
-    return (max(off_line, speed * frame_period(scene.scenario)) + lag) * float(
-        np.abs(scene.view(scene.start).jacobian[:, :3] @ ahead).max()
-    )
+    return (max(off_line, speed * frame_period(scene.scenario)) + lag) * _pixels_of(scene, ahead)
 
 
-@dataclass(frozen=True, eq=False)
-class SteadyFilter:
-    """The law's filter after many frames, along its modes: those of R, of a frame, over the acceleration's variance.
+def _behind_steady(scene: Scene, gains: Tracking, filtered: SteadyFilter, velocity: Array) -> float:
+    """Return how far behind a target of constant velocity is followed at most [px]; 0: the line's velocity counts."""
+    scenario = scene.scenario
+    period, duration = frame_period(scenario), scenario.simulation.duration
+    line = steady_line(filtered, velocity, gains.certainty, period, math.ceil(duration / period))
+    if not line.goes_on(duration, period):
+        return 0.0
+    late = scenario.camera.latency + scenario.actuators.delay
+    return longest_behind(line.pieces, period, late, gains.bandwidth) * _pixels_of(scene, velocity)
 
-    Along each it is an alpha-beta filter of unit acceleration, with the variance alpha of a place and (beta/T^2)
-    (alpha - beta/2)/(1 - alpha) of a velocity, over that of a reading (docs/model.md, section 5; Kalata 1984).
-    """
 
-    along: Array  # (n, n), a displacement in B [m; rad] along the modes
-    reading: Array  # (n,) deviations along the modes, of the place in one frame
-    place: Array  # (n,) likewise, of the filter's place
-    velocity: Array  # (n,) likewise, per s
-
-    @property
-    def axes(self) -> int:
-        """Return the numbers of what is followed: 6 of a pose, 3 of a place."""
-        return len(self.place)
-
-    @property
-    def off_line(self) -> float:
-        """Return the standard deviations of the place of a pose at which the filter leaves the line (`all_within`)."""
-        return math.sqrt(_core.all_within(_core.OFF_THE_LINE, self.axes))
-
-    def on_one_line(self, velocity: Array, certainty: float, period: float) -> bool:
-        """Return whether the velocity (3,) of a line counts before the filter is off the line, of a pose.
-
-        After m frames the line's place is that of the mean frame, m/2 periods behind, and the variance of its velocity
-        is 12 R/(period^2 (m^3 - m)) (docs/model.md, section 5).
-        """
-        of_place, of_reading = (
-            float(self.in_deviations(velocity[None], deviations)[0]) * period
-            for deviations in (self.place, self.reading)
-        )
-        m = 2.0 * self.off_line / of_place
-        return (m**3 - m) * of_reading**2 >= 12.0 * certainty**2 * self.axes
-
-    def in_deviations(self, vectors: Array, deviations: Array) -> Array:
-        """Return the lengths of translations (k, 3) in standard deviations (n,) along the modes, (k,)."""
-        return np.asarray(np.linalg.norm(vectors @ self.along[:, :3].T / deviations, axis=1))
+def _pixels_of(scene: Scene, shift: Array) -> float:
+    """Return how far a shift (3,) in B moves the features at the start, in the largest coordinate."""
+    return float(np.abs(scene.view(scene.start).jacobian[:, :3] @ shift).max())
 
 
 def steady_filter(scene: Scene, gains: Tracking) -> SteadyFilter:

@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 
+from hexservo.findings.analysis.camera_causes import Repeat, repeated_starts
 from hexservo.findings.analysis.camera_margins import (
     Margins,
     crossing,
@@ -47,6 +48,8 @@ OF_GROWTH = 0.2
 """Share of a predicted growth that a measured one may differ from it."""
 LEAST_CHANGE = 0.1
 """Growth times duration of a run, from which a measured sign counts: less is hidden by what remains of other modes."""
+E_FOLDINGS = 10.0
+"""Of a mode of the linear loop in a run that hunts, from which it would have left the settling band if it grew."""
 _KEYS: tuple[Literal["period", "latency"], ...] = ("period", "latency")
 SMALL_OFFSET = 1e-6
 """Taken where 0.01 px is already too much for a loop to be linear [px]."""
@@ -97,20 +100,29 @@ class CameraRate(Part):
     radii: Array | None = None  # (k, m) spectral radius over one camera period, without drifts
     runs: tuple[BorderRun, ...] = ()
     starts: tuple[StartRun, ...] = ()  # from small starts; empty where the core refuses them
+    # The same without what may be the cause, where one goes on moving or the linear loop is no description of them.
+    repeats: tuple[Repeat, ...] = ()
     limits: dict[Literal["period", "latency"], LimitBorder] = field(default_factory=dict)  # of the task
 
     @property
     def settles(self) -> bool | None:
         """Whether the runs from small starting errors all settle; None if they are inconclusive.
 
-        Runs that K_v holds where they start count for nothing.
-        With a drift, which grows with any camera, runs are inconclusive where the linear loop is stable.
+        Runs that K_v holds where they start count for nothing. One that hunts settles, unless it may be a drift or a
+        mode of the linear loop that is too slow to be seen. With a drift, which grows with any camera, runs are
+        inconclusive where the linear loop is stable.
         """
         endings = {run.ending for run in self.starts} - {"held"}
         drifting = self.acting is not None and self.acting.stable and self.acting.drifts > 0
         if endings & {"goes on", "limit", "ended"}:
             return None if drifting else False
-        return True if endings == {"settles"} else None
+        if not endings or endings - {"settles", "hunts"}:
+            return None
+        hunting = [run.duration for run in self.starts if run.ending == "hunts"]
+        if hunting and self.acting is not None:
+            slow = not self.acting.stable and self.acting.rate * min(hunting) < E_FOLDINGS
+            return None if drifting or slow else True
+        return True
 
     @property
     def stable(self) -> bool | None:
@@ -248,6 +260,7 @@ def analyse(scenario: Scenario, *, borders: bool = True) -> CameraRate:
     result = replace(result, starts=_start_runs(at_rest))
     if not borders:
         return result
+    result = replace(result, repeats=_repeats(result, at_rest, clock))
     result = replace(result, learned=_learned(at_rest, margins_of, acting is smooth))
     if not free.has_camera:  # no border to map
         return result
@@ -279,6 +292,14 @@ def _start_runs(at_rest: LoopAtRest) -> tuple[StartRun, ...]:
         return start_runs(at_rest_at_home(at_rest))
     except ScenarioError:  # the core refuses an image of rest as a goal
         return ()
+
+
+def _repeats(result: CameraRate, at_rest: LoopAtRest, clock: Clock) -> tuple[Repeat, ...]:
+    hunting = any(run.ending == "hunts" for run in result.starts)
+    if result.settles is None or not (hunting or (result.acting and result.settles != result.acting.stable)):
+        return ()
+    rest = all(run.rests for run in result.starts)
+    return repeated_starts(at_rest_at_home(at_rest), clock, learns=bool(at_rest.free.axes), rest=rest)
 
 
 def _learned(at_rest: LoopAtRest, margins_of: Callable[[SampledLoop], Margins], smooth: bool) -> Margins | None:

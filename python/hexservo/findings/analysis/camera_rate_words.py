@@ -383,6 +383,7 @@ def _data(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins) 
                 **picked(run, "offset duration ending"),
                 "peak_error": run.peak,
                 "end_error": run.end,
+                "late_error": run.late,
                 "leg_travel": run.travel,
             }
             for run in result.starts

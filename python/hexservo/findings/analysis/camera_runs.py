@@ -27,9 +27,11 @@ _TICKS = 50_000  # of a run, at most
 _PARTS = 10  # of a run, whose motions are compared
 _QUIET, _MOVING = 0.05, 0.5  # of the largest motion: the last part has less at rest, and more where it goes on
 _HELD = 0.95  # of the starting error, at least, is left at the end of a run that K_v holds there
+_SMALL = 0.05  # of `metrics.band`, within which a motion that goes on is no failure
+_LATE, _GROWN = 8, 1.25  # parts of a run, after which its error is at most so many times that before, or it grows
 _GRID = 12  # clocks in the first round of a search for the stroke's border
 
-Ending: TypeAlias = Literal["settles", "held", "no nearer", "goes on", "limit", "ended", "open"]
+Ending: TypeAlias = Literal["settles", "held", "no nearer", "hunts", "goes on", "limit", "ended", "open"]
 
 
 @dataclass(frozen=True)
@@ -38,12 +40,19 @@ class StartRun:
 
     offset: float  # largest feature offset at the start [px]
     duration: float  # [s]
-    # settles; held: at rest where it started; no nearer: at rest elsewhere, as far from the goal; goes on moving;
-    # exceeds a limit of the legs; ended early; open: it is too slow to be judged
+    # settles; held: at rest where it started; no nearer: at rest elsewhere, as far from the goal; hunts: goes on moving
+    # far within the settling band, without growing; goes on moving; exceeds a limit of the legs; ended early; open: it
+    # is too slow to be judged
     ending: Ending
     peak: float  # largest |xi_d - xi| of the run [px]
     end: float  # the same at its end [px]
+    late: float  # the largest of its last half [px]
     travel: float  # largest leg travel [m]
+
+    @property
+    def rests(self) -> bool:
+        """Whether it does not go on moving; False where that is undecided too."""
+        return self.ending in ("settles", "held")
 
 
 @dataclass(frozen=True)
@@ -58,6 +67,7 @@ class LimitBorder:
     largest: int  # [ticks], tried
     use: LimitUse  # of the limit that is used most at `beyond`, else at `largest`; infinite where the run ends early
     own: LimitUse  # at the scenario's own clocks
+    perfect: LimitUse | None  # with a frame at every tick and no latency, where `own` is beyond; None: it is not
 
 
 def start_runs(home: Scenario) -> tuple[StartRun, ...]:
@@ -92,9 +102,12 @@ def _start_run(home: Scenario, offset: float, goal: Array) -> StartRun:
         travel = float(result.streamed_metrics["peak_leg_excursion"])
         ending = _ending(result, most_used(home, result.streamed_metrics))
         errors = np.abs(result.feature_error).max(axis=1)
-        found = StartRun(offset, ticks * tick, ending, float(errors.max()), float(errors[-1]), travel)
-        if ending not in ("no nearer", "goes on", "open"):  # what learns, or decays slowly, may only need longer
-            break
+        if ending == "goes on" and _hunts(errors, home.metrics.band):
+            ending = "hunts"
+        late = float(errors[len(errors) // 2 :].max())
+        found = StartRun(offset, ticks * tick, ending, float(errors.max()), float(errors[-1]), late, travel)
+        if ending not in ("no nearer", "hunts", "goes on", "open"):
+            break  # what learns, or decays slowly, may only need longer
     assert found is not None
     return found
 
@@ -115,6 +128,12 @@ def _ending(result: Result, use: LimitUse) -> Ending:
             return "settles"
         return "held" if _HELD * errors.max() <= start else "no nearer"
     return "goes on" if share > _MOVING and moved[-1] > 0.8 * moved[_PARTS // 2] else "open"
+
+
+def _hunts(errors: Array, band: float) -> bool:
+    """Return whether the errors (n,) [px] of a run stay far within the settling band, and do not grow."""
+    parts = [float(part.max()) for part in np.array_split(errors, _PARTS)]
+    return max(parts[_PARTS // 2 :]) <= _SMALL * band and max(parts[_LATE:]) <= _GROWN * max(parts[:_LATE])
 
 
 def learned_weights(task: Scenario) -> Array | None:
@@ -146,17 +165,19 @@ def limit_border(task: Scenario, key: Literal["period", "latency"], clock: Clock
     tick = task.simulation.step
     uses: dict[int, LimitUse] = {}
 
+    def used(base: Scenario, ticks: Sequence[int]) -> list[LimitUse]:
+        values = np.array([value * tick for value in ticks])
+        batch = whole(simulate_batch(base, {f"camera.{key}": values}, log="metrics"))
+        rows = [most_used(base, metrics_of(batch, row)) for row in range(len(ticks))]
+        # A run that ends early has no number of the legs, but the task was not done: the camera is too slow.
+        done = [outcome in ("completed", "leg_limit") for outcome in batch.outcome]
+        return [use if good else replace(use, peak=np.inf) for use, good in zip(rows, done, strict=True)]
+
     def run(ticks: Sequence[int]) -> None:
         new = sorted(set(ticks) - set(uses))
         if not new:
             return
-        values = np.array([value * tick for value in new])
-        batch = whole(simulate_batch(task, {f"camera.{key}": values}, log="metrics"))
-        for row, value in enumerate(new):
-            use = most_used(task, metrics_of(batch, row))
-            # A run that ends early has no number of the legs, but the task was not done: the camera is too slow.
-            done = batch.outcome[row] in ("completed", "leg_limit")
-            uses[value] = use if done else replace(use, peak=np.inf)
+        uses.update(zip(new, used(task, new), strict=True))
 
     def within() -> dict[int, bool]:
         return {value: use.share <= 1.0 for value, use in uses.items()}
@@ -166,4 +187,13 @@ def limit_border(task: Scenario, key: Literal["period", "latency"], clock: Clock
         run(quarters(within()))
     last, beyond = bordering(within())
     top = max(uses)
-    return LimitBorder(last, beyond, top, uses[top if beyond is None else beyond], uses[own])
+    perfect = None
+    if uses[own].share > 1.0:
+        least = 1 if key == "period" else 0
+        (perfect,) = used(with_perfect_camera(task), [least])
+    return LimitBorder(last, beyond, top, uses[top if beyond is None else beyond], uses[own], perfect)
+
+
+def with_perfect_camera(scenario: Scenario) -> Scenario:
+    """Return a sampled scenario with a frame at every tick and no latency."""
+    return scenario.updated({"camera.period": scenario.simulation.step, "camera.latency": 0.0})

@@ -8,11 +8,13 @@ from hexservo.findings.analysis.loop_of_scenario import OFFSET as START
 from hexservo.findings.analysis.words import in_ms, number
 from hexservo.run.leg_limits import LimitUse, limits_of_motion
 from hexservo.scenario.leg_units import leg_units
+from hexservo.scenario.pixels import feature_noise
 
 _ENDINGS = {
     "settles": "comes to rest",
     "held": "is held where it starts",
     "no nearer": "comes to rest no nearer to its goal than it started",
+    "hunts": "hunts",
     "goes on": "does not come to rest",
     "limit": "takes a leg beyond a limit",
     "ended": "ends early",
@@ -33,19 +35,81 @@ def starts_in_words(result: CameraRate, acting: Margins) -> list[str]:
     text = f"Of runs of {longest:g} s from near the goal, with the scenario's K_v, {ends}"
     if result.settles is None:
         why = "they are inconclusive" if acting.stable and acting.drifts else "that is inconclusive"
-        return [f"{text}: {why}, and the verdict is that of the linear loop."]
+        return [f"{text}: {why}, and the verdict is that of the linear loop.", *_hunting_in_words(result)]
     if result.settles == acting.stable:
-        return [f"{text}, as the linear loop predicts."]
-    weights = "the initial weights of the fuzzy systems" if result.at_rest and result.at_rest.free.axes else "rest"
+        return [f"{text}, as the linear loop predicts.", *_hunting_in_words(result), *_causes_in_words(result)]
     return [
-        f"{text}. The verdict follows these runs: the linear loop, taken at {weights}, is "
-        f"{'stable' if acting.stable else 'unstable'} and does not describe them."
+        f"{text}. The verdict follows these runs: the linear loop, taken {_taken(result, acting)}, is "
+        f"{'stable' if acting.stable else 'unstable'} and does not describe them.",
+        *_hunting_in_words(result),
+        *_causes_in_words(result),
     ]
+
+
+def _taken(result: CameraRate, acting: Margins) -> str:
+    """Return where the linear loop is taken that does not describe the runs: without what acts in them."""
+    without_kv = next((repeat for repeat in result.repeats if repeat.without == "switching"), None)
+    if without_kv is not None and without_kv.rests != result.settles:
+        return "with K_v = 0" if result.acting is not result.smooth else "with the slope of K_v at rest"
+    without_fuzzy = next((repeat for repeat in result.repeats if repeat.without == "fuzzy"), None)
+    learns = result.at_rest is not None and bool(result.at_rest.free.axes)
+    if without_fuzzy is not None:
+        learns = without_fuzzy.rests != result.settles
+    return "at the initial weights of the fuzzy systems" if learns else "at rest"
+
+
+def _hunting_in_words(result: CameraRate) -> list[str]:
+    """Compare what hunts with the settling band and the noise."""
+    late = max((run.late for run in result.starts if run.ending == "hunts"), default=None)
+    if late is None:
+        return []
+    band, noise = result.scenario.metrics.band, feature_noise(result.scenario.camera)
+    of_noise = f" and {number(100.0 * late / noise, 2)} % of the image noise" if noise > late else ""
+    return [
+        f"That hunting, of at most {number(late)} px, is {number(100.0 * late / band, 2)} % of metrics.band{of_noise}, "
+        "and does not grow: it is no failure."
+    ]
+
+
+_WITHOUT = {
+    "switching": ("with K_v = 0", "K_v"),
+    "fuzzy": ("without the fuzzy systems", "what the fuzzy systems learn"),
+    "camera": ("with a frame at every tick and no latency", "the camera"),
+}
+
+
+def _causes_in_words(result: CameraRate) -> list[str]:
+    """State what acts in the runs, by those repeated without it."""
+    if not result.repeats:
+        return []
+    rest = all(run.rests for run in result.starts)
+    ends, within = [], " within the limits of the legs"
+    for repeat in result.repeats:
+        ends.append(f"{_WITHOUT[repeat.without][0]} they {'' if repeat.rests else 'do not '}come to rest{within}")
+        within = ""
+    named = " and ".join(_WITHOUT[repeat.without][1] for repeat in result.repeats if repeat.rests != rest)
+    if not named:
+        cause = "none of these is the cause"
+    elif rest:
+        cause = f"{named} brings them to rest"
+    else:
+        camera = any(repeat.without == "camera" and not repeat.rests for repeat in result.repeats)
+        cause = f"the cause is {named}{', not the camera' * camera}"
+    return [f"The same runs repeated: {', and '.join(ends)}. So {cause}."]
 
 
 def legs_in_words(result: CameraRate, tick: float) -> list[str]:
     """Describe how stroke, speed and joints of the legs, which are not in the linear loop, limit period and latency."""
     found = []
+    perfect = next((border.perfect for border in result.limits.values() if border.perfect is not None), None)
+    if perfect is not None:  # the scenario's own period and latency are one run
+        own = next(iter(result.limits.values())).own
+        with_it = "with a frame at every tick and no latency"
+        if perfect.share > 1.0:
+            also = f"{with_it} it {perfect.excess}: the camera is not the cause"
+        else:
+            also = f"{with_it} the legs stay within {_limits(result)} (at most {_use(perfect)})"
+        return [f"With the scenario's own camera the task {own.excess}; {also}."]
     for key, border in result.limits.items():
         if border.within is None:
             found.append(f"With the scenario's own {key} the task {border.use.excess}.")

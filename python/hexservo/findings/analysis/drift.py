@@ -428,13 +428,10 @@ class _Worker:
         return low
 
     def loop(self, own: Array, largest: float) -> LoopUnderErrors | None:
-        """Return the linear loop with the scenario's own errors (p,), and up to a size of the pattern of largest E."""
+        """Return the linear loop with the scenario's own errors (p,), and up to a size of all patterns."""
         if self.late is None or self.rest.scenario.actuators.takes_positions:
             return None
-        known = (self.known(place, largest * _SIGNS) for place in range(len(self.places)))
-        pairs = zip(known, self.true, strict=True)
-        values = [np.abs(np.linalg.eigvals(self.matrix(*pair))).max(axis=-1) for pair in pairs]
-        return loop_under_errors(self.rest.scenario, own, _SIGNS[int(np.argmax(np.max(values, axis=0)))], largest)
+        return loop_under_errors(self.rest.scenario, own, _SIGNS, largest)
 
     def drift(self) -> Drift:
         """Compute all results; open where no axis has a drive."""

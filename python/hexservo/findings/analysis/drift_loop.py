@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from hexservo.findings.analysis.camera_margins import Margins, loop_margins
 from hexservo.findings.analysis.camera_rate import clock_of_loop
@@ -19,8 +22,10 @@ class LoopUnderErrors:
     """What the loop with inertia, sensors and actuators does where the rates of a drift are positive."""
 
     own: Margins  # with the scenario's own depth errors
-    limit: float | None  # |delta_Z| up to which it is stable at `signs`; None: up to the drift's limit; 0: not even so
-    signs: Array  # (p,) +1 or -1
+    limit: (
+        float | None
+    )  # |delta_Z| up to which it is stable with all signs; None: up to the drift's limit; 0: not even so
+    signs: Array  # (p,) +1 or -1, with which it grows first; of no meaning where `limit` is None or 0
 
     def grows_at(self, size: float) -> bool:
         """Return whether it grows for some pattern of a size |delta_Z|."""
@@ -37,7 +42,7 @@ def loop_under_errors(scenario: Scenario, own: Array, signs: Array, largest: flo
     own
         Its own depth errors, (p,).
     signs
-        Of the depth errors that are searched, (p,).
+        Of the depth errors that are searched, (n, p). One with which the loop rests nowhere near its goal is left out.
     largest
         Their largest size |delta_Z|.
     """
@@ -47,14 +52,39 @@ def loop_under_errors(scenario: Scenario, own: Array, signs: Array, largest: flo
         radius = scene_of(at_rest.scenario).platform_radius
         return loop_margins(at_rest.free, clock_of_loop(at_rest), radius, borders=False)
 
+    def growing(size: float, candidates: Sequence[Array]) -> dict[int, float]:
+        """Return the growth [1/s] with each candidate, by its number, that makes the loop unstable at a size."""
+        found = {}
+        for number, candidate in enumerate(candidates):
+            try:
+                at_size = margins(size * candidate)
+            except NotApplicableError:
+                continue
+            if not at_size.stable:
+                found[number] = at_size.rate
+        return found
+
+    def fastest(grows: dict[int, float], candidates: Sequence[Array]) -> Array:
+        return candidates[max(grows, key=lambda number: grows[number])]
+
     try:
-        at_own = margins(own)
-        if margins(largest * signs).stable:
-            return LoopUnderErrors(at_own, None, signs)
-        low, high = 0.0, largest if margins(0.0 * signs).stable else 0.0
-        for _ in range(_ROUNDS if high > 0.0 else 0):
-            middle = (low + high) / 2
-            low, high = (middle, high) if margins(middle * signs).stable else (low, middle)
+        at_own, exact = margins(own), margins(np.zeros_like(own))
     except NotApplicableError:
         return None
-    return LoopUnderErrors(at_own, low, signs)
+    candidates = list(signs)
+    if not exact.stable:
+        return LoopUnderErrors(at_own, 0.0, candidates[0])
+    grows = growing(largest, candidates)
+    if not grows:
+        return LoopUnderErrors(at_own, None, candidates[0])
+    low, high, worst = 0.0, largest, fastest(grows, candidates)
+    candidates = [candidates[number] for number in grows]
+    for _ in range(_ROUNDS):
+        middle = (low + high) / 2
+        grows = growing(middle, candidates)
+        if grows:
+            high, worst = middle, fastest(grows, candidates)
+            candidates = [candidates[number] for number in grows]
+        else:
+            low = middle
+    return LoopUnderErrors(at_own, low, worst)

@@ -5,37 +5,26 @@ Empirical throughout (docs/analysis/largest_start.md).
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
 
 from hexservo.findings.analysis.goal import find_goals
+from hexservo.findings.analysis.largest_times import Timing, camera_times
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.reach import nearest_limit
 from hexservo.findings.analysis.scene import AT_HOME, WIDER, Scene, scene_of
-from hexservo.findings.analysis.tried import ROUNDS, bordering, outwards, quarters
+from hexservo.findings.analysis.settling_runs import SettlingRuns, Tried, border, first_overload
+from hexservo.findings.analysis.tried import ROUNDS
 from hexservo.findings.part import Part
-from hexservo.run.batch import metrics_of, simulate_batch, whole
 from hexservo.run.goal_distance import inexact
-from hexservo.run.leg_limits import LimitUse, most_used, overload
-from hexservo.scenario.arrays import Array, Mask
+from hexservo.run.leg_limits import LimitUse
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.keys import value_at
-from hexservo.scenario.laws import LAWS, laws_with
-from hexservo.scenario.noise import is_random
-from hexservo.scenario.parameters import frame_period, timeout_room
 from hexservo.scenario.scenario import Scenario
 
-_SHORT, _LONG = 2.0, 10.0  # [s], of a run, and of one where the task itself needs longer
 _GRID = 8  # sizes in the first round, up to the largest that is possible
-_SEEDS = 4  # with which the first time that fails is repeated where runs are random
-_TICKS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 200, 300, 500)  # periods and latencies of the first round
-
-
-Tried: TypeAlias = dict[float, bool]
-"""Size or time -> whether it settled."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +43,7 @@ class Direction:
     beyond: dict[float, LimitUse]
     error: float  # [px], largest |xi_d - xi| at the start for the size `settles_to`, NaN for none
     overloads: dict[float, LimitUse]  # by size, of those that settle with forces beyond the legs' limit
+    reseeded: tuple[bool, ...]  # whether `fails_at` settles with each of some other seeds; empty: nothing is random
 
     @property
     def settles_to(self) -> float:
@@ -82,61 +72,6 @@ class Direction:
         return failed is not None and any(good for size, good in self.tried.items() if size > failed)
 
 
-@dataclass(frozen=True, eq=False)
-class Timing:
-    """Period or latency of the camera, with the other one constant."""
-
-    what: str  # period | latency
-    prediction: str  # none | encoder
-    other: float  # [s], the one that is held
-    own: float  # [s], of the scenario
-    tried: Tried  # by time [s]
-    settles_later: bool | None  # whether `fails_at` settles in a longer run; None where there was none
-    beyond: dict[float, LimitUse]  # by time [s], of those that fail for a leg beyond a limit alone
-    overloads: dict[float, LimitUse]  # by time [s], of those that settle with forces beyond the legs' limit
-    timeout: float | None  # longest time that `camera.timeout` has room for [s]; None: it ends no search
-    reseeded: tuple[bool, ...]  # whether `fails_at` settles with each of some other seeds; empty: nothing is random
-
-    @property
-    def settles_to(self) -> float | None:
-        """Largest time [s] up to which everything that was tried settles, from `own` on, or from 0 where that fails.
-
-        None where `own` and the smallest fail.
-        """
-        return bordering(outwards(self.tried, self.own))[0]
-
-    @property
-    def fails_at(self) -> float | None:
-        """Smallest time [s] that was seen to fail, above `own` where that settles; None where none was."""
-        return bordering(outwards(self.tried, self.own))[1]
-
-    @property
-    def fails_below(self) -> float | None:
-        """Largest time [s] that was seen to fail below one that settles, `own`; None where none was."""
-        if not self.tried.get(self.own, False):
-            return None
-        return max((time for time, good in self.tried.items() if time < self.own and not good), default=None)
-
-    @property
-    def settles_again(self) -> float | None:
-        """Largest time [s] above `fails_at` that was seen to settle; None where none was."""
-        failed = self.fails_at
-        larger = (time for time, good in self.tried.items() if good and failed is not None and time > failed)
-        return max(larger, default=None)
-
-    @property
-    def overloaded_from(self) -> float | None:
-        """Smallest time [s] that settles with forces beyond the legs' limit, up to `settles_to`; None for none."""
-        return None if self.settles_to is None else first_overload(self.overloads, self.settles_to)
-
-    @property
-    def limited_by(self) -> str | None:
-        """What fails first, `error` or the kind of the legs' limit; None where nothing was seen to fail."""
-        if self.fails_at is None:
-            return None
-        return self.beyond[self.fails_at].limit.kind if self.fails_at in self.beyond else "error"
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class LargestStart(Part):
     """Sizes and times that were run, and the largest ones that settle."""
@@ -163,21 +98,6 @@ class LargestStart(Part):
         return self.directions[0] if self.directions and self.directions[0].name == "own" else None
 
 
-def border(tried: Mapping[float, bool]) -> tuple[float, float | None]:
-    """Return the largest size below the smallest that fails, and that one: (0, ...) for none, (..., None) for none."""
-    good, failed = bordering(tried)
-    return good or 0.0, failed
-
-
-def first_overload(overloads: Mapping[float, LimitUse], settles_to: float) -> float | None:
-    """Return the smallest size or time with forces beyond the legs' limit, up to the border; None where there is none.
-
-    The runs do not limit forces unless `actuators.saturation` or motors (`position_torque`) do, so that such a run
-    settles all the same.
-    """
-    return min((size for size in overloads if size <= settles_to), default=None)
-
-
 def analyse(scenario: Scenario) -> LargestStart:
     """Find by runs the largest starting error and the slowest camera that settle (docs/analysis/largest_start.md).
 
@@ -192,14 +112,14 @@ def analyse(scenario: Scenario) -> LargestStart:
     if scenario.camera.convention == "as_printed":
         return LargestStart(law, "A camera as_printed has no points in space, so goals have no pose: not tried.")
     scene = scene_of(scenario)
-    trial = _Trial(scenario)
+    trial = SettlingRuns(scenario)
     goals = find_goals(scene)
     assert goals is not None  # as the camera has points
     at_goal = bool(scene.residual(scene.home) <= inexact(scene.band))
     directions, own_limit = _directions(
         scene, trial, goals.best.displacement if goals.reachable and not at_goal else None
     )
-    timings, assumed = _timings(scenario, trial) if trial.task_settles else ((), "")
+    timings, assumed = camera_times(scenario, trial) if trial.task_settles else ((), "")
     later = [*(way.settles_later for way in directions), *(timing.settles_later for timing in timings)]
     longer = trial.longer if any(settles is not None for settles in later) else 0.0
     measured = scenario.metrics
@@ -222,85 +142,10 @@ def analyse(scenario: Scenario) -> LargestStart:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Ends:
-    """Results of variations of a scenario, one row each."""
-
-    settled: Mask  # in the image, with all legs within their limits all the way
-    times: Array  # [s], settling time of the image error; NaN: none
-    beyond: list[LimitUse | None]  # the limit that is exceeded most, where a run fails for the legs' limits alone
-    overloads: list[LimitUse | None]  # the limit of the efforts, where a run settles with more
-    ran: Mask  # False: refused by the core
-
-
-class _Trial:
-    """Runs variations of a scenario for one duration, and counts them."""
-
-    def __init__(self, scenario: Scenario) -> None:
-        self.runs = 0
-        own, step = scenario.simulation.duration, scenario.simulation.step
-        # the short duration, unless the task itself needs the longer one
-        self.longer = min(own, _whole(_LONG, step))
-        self.duration = min(own, _whole(_SHORT, step))
-        self.scenario = scenario.updated({**AT_HOME, "simulation.duration": self.duration})
-        self.task_settles = self._settles(self.scenario)
-        if not self.task_settles and self.duration < self.longer and self._settles(self.longest()):
-            self.task_settles, self.duration, self.scenario = True, self.longer, self.longest()
-
-    def longest(self) -> Scenario:
-        """Return the scenario with the longer duration."""
-        return self.scenario.updated({"simulation.duration": self.longer})
-
-    def _settles(self, task: Scenario) -> bool:
-        goal = np.array([task.target.desired_features])
-        return bool(self.ends({"target.desired_features": goal}, task).settled[0])
-
-    def ends(self, variations: Mapping[str, Array], scenario: Scenario | None = None) -> _Ends:
-        """Run each variation and return how it ends.
-
-        What the core refuses, such as a goal that the search of `pbvs` does not find, is not run.
-        """
-        base = self.scenario if scenario is None else scenario
-        count = max(len(values) for values in variations.values())
-        settled, ran = np.zeros(count, dtype=bool), np.ones(count, dtype=bool)
-        times = np.full(count, np.nan)
-        beyond: list[LimitUse | None] = [None] * count
-        overloads: list[LimitUse | None] = [None] * count
-        while ran.any():
-            rows = np.flatnonzero(ran)
-            try:
-                varied = {key: values[rows] for key, values in variations.items()}
-                batch = whole(simulate_batch(base, varied, log="metrics"))
-            except ValueError as error:
-                refused = re.match(r"scenario (\d+): ", str(error))
-                if refused is None:
-                    raise
-                ran[rows[int(refused[1])]] = False
-                continue
-            self.runs += len(rows)
-            times[rows] = batch.metrics["settling_time"]
-            in_image = (batch.outcome == "completed") & np.isfinite(times[rows])
-            for k, row in enumerate(rows):
-                found = metrics_of(batch, k)
-                use = most_used(base, found)
-                if batch.outcome[k] == "leg_limit" or (in_image[k] and use.share > 1.0):
-                    beyond[row] = use
-                else:
-                    settled[row] = in_image[k]
-                    overloads[row] = overload(base, found) if in_image[k] else None
-            break
-        return _Ends(settled, times, beyond, overloads, ran)
-
-
-def _whole(duration: float, step: float) -> float:
-    """Round a duration to a whole number of steps."""
-    return max(round(duration / step), 1) * step
-
-
 # ---- Starting errors ------------------------------------------------------------------------------------------------
 
 
-def _directions(scene: Scene, trial: _Trial, own: Array | None) -> tuple[tuple[Direction, ...], str]:
+def _directions(scene: Scene, trial: SettlingRuns, own: Array | None) -> tuple[tuple[Direction, ...], str]:
     """Try goals along the task's own way, if it has one, the axes and the rotations, all in one batch per round.
 
     Ways along which no goal is possible are left out; also return what limits the task's own if it is among them.
@@ -316,6 +161,7 @@ def _directions(scene: Scene, trial: _Trial, own: Array | None) -> tuple[tuple[D
             beyond={},
             error=np.nan,
             overloads={},
+            reseeded=(),
         )
         for name, unit in _units(scene, own)
     ]
@@ -358,24 +204,39 @@ def _directions(scene: Scene, trial: _Trial, own: Array | None) -> tuple[tuple[D
     run(between)
     for _ in range(ROUNDS):
         run(halfway)
-    later = _settles_later(scene, trial, ways)
+    later, reseeded = _settles_later(scene, trial, ways), _reseeded(scene, trial, ways)
     found = [
-        replace(way, settles_later=settles, error=_error(scene, way)) for way, settles in zip(ways, later, strict=True)
+        replace(way, settles_later=settles, reseeded=again, error=_error(scene, way))
+        for way, settles, again in zip(ways, later, reseeded, strict=True)
     ]
     return tuple(found), own_limit
 
 
-def _settles_later(scene: Scene, trial: _Trial, ways: list[Direction]) -> list[bool | None]:
-    """Run the smallest sizes that fail for longer, since they may only be slow."""
+def _smallest_failing(scene: Scene, ways: list[Direction]) -> tuple[list[int], Array]:
+    """Return which ways have a size that fails, and the goals of the smallest, (n, 2p) [px]."""
     failed = [border(way.tried)[1] for way in ways]
     rows = [i for i, size in enumerate(failed) if size is not None]
+    moves = np.array([(failed[i] or 0.0) * ways[i].unit for i in rows]).reshape(-1, 6)
+    return rows, scene.pixels(scene.home.moved(moves))
+
+
+def _settles_later(scene: Scene, trial: SettlingRuns, ways: list[Direction]) -> list[bool | None]:
+    """Run the smallest sizes that fail for longer, since they may only be slow."""
+    rows, goals = _smallest_failing(scene, ways)
     found: list[bool | None] = [None] * len(ways)
     if rows and trial.duration < trial.longer:
-        moves = np.array([(failed[i] or 0.0) * ways[i].unit for i in rows])
-        goals = scene.pixels(scene.home.moved(moves))
         good = trial.ends({"target.desired_features": goals}, trial.longest()).settled
         for i, settled in zip(rows, good, strict=True):
             found[i] = bool(settled)
+    return found
+
+
+def _reseeded(scene: Scene, trial: SettlingRuns, ways: list[Direction]) -> list[tuple[bool, ...]]:
+    """Run the smallest sizes that fail with other seeds, where runs are random."""
+    rows, goals = _smallest_failing(scene, ways)
+    found: list[tuple[bool, ...]] = [()] * len(ways)
+    for i, again in zip(rows, trial.reseeded({"target.desired_features": goals}) if rows else [], strict=True):
+        found[i] = again
     return found
 
 
@@ -423,74 +284,3 @@ def _error(scene: Scene, way: Direction) -> float:
         return float("nan")
     goal = scene.home.moved(way.settles_to * way.unit)
     return float(np.abs(scene.image(goal)[0] - scene.image(scene.home)[0]).max())
-
-
-# ---- Camera times ---------------------------------------------------------------------------------------------------
-
-
-def _timings(scenario: Scenario, trial: _Trial) -> tuple[tuple[Timing, ...], str]:
-    """Try periods and latencies for the task itself, in the sampled loop."""
-    assumed, changes = "", {}
-    if scenario.simulation.mode != "sampled":
-        assumed = f"sampled every {1e3 * scenario.simulation.step:.3g} ms"
-        changes["simulation.mode"] = "sampled"
-        if scenario.controller.law in laws_with("switching") and scenario.controller.switching.kind == "sign":
-            assumed += " with implicit switching"
-            changes["controller.switching.kind"] = "implicit"
-        assumed += ", "
-    sampled = trial.scenario.updated(changes) if changes else trial.scenario
-    predictions = [sampled.camera.prediction]
-    if predictions == ["none"] and scenario.controller.law in LAWS:  # the others predict the target
-        predictions.append("encoder")
-    found = []
-    for prediction in predictions:
-        base = sampled.updated({"camera.prediction": prediction})
-        for what in ("period", "latency"):
-            other = base.camera.latency if what == "period" else frame_period(base)
-            found.append(_timing(base, what, other, trial))
-    return tuple(found), assumed
-
-
-def _timing(base: Scenario, what: str, other: float, trial: _Trial) -> Timing:
-    """Try one time of the camera: a grid, then between the last that settles and the first that fails, in ticks."""
-    step = base.simulation.step
-    own = round((frame_period(base) if what == "period" else base.camera.latency) / step)
-    tried: dict[int, bool] = {}
-    beyond: dict[float, LimitUse] = {}
-    overloads: dict[float, LimitUse] = {}
-
-    def run(ticks: list[int]) -> None:
-        new = sorted(set(ticks) - set(tried))
-        if new:
-            ends = trial.ends({f"camera.{what}": np.array([tick * step for tick in new])}, base)
-            for k, tick in enumerate(new):
-                if ends.ran[k]:
-                    tried[tick] = bool(ends.settled[k])
-                if (use := ends.beyond[k]) is not None:
-                    beyond[tick * step] = use
-                if (more := ends.overloads[k]) is not None:
-                    overloads[tick * step] = more
-
-    # A run of less than two periods shows nothing of them, and one shorter than the latency has no image.
-    longest = base.simulation.duration / (2.0 if what == "period" else 1.0)
-    shown = [tick for tick in _TICKS if tick * step < longest] or [1]
-    timeout = None
-    if (room := timeout_room(base)) is not None and own + room < shown[-1]:
-        shown = [*(tick for tick in shown if tick < own + room), own + room]
-        timeout = (own + room) * step
-    run([own, *shown] if what == "period" else [0, own, *shown])
-    for _ in range(ROUNDS):
-        run(quarters(outwards(tried, own)))
-    times = {tick * step: good for tick, good in tried.items()}
-    found = Timing(what, base.camera.prediction, other, own * step, times, None, beyond, overloads, timeout, ())
-    if found.fails_at is None:
-        return found
-    if is_random(base):
-        seeds = [seed for seed in range(_SEEDS + 1) if seed != base.seed][:_SEEDS]
-        again = {f"camera.{what}": np.full(_SEEDS, found.fails_at), "seed": np.array(seeds)}
-        found = replace(found, reseeded=tuple(bool(good) for good in trial.ends(again, base).settled))
-    if found.fails_at in beyond or trial.duration == trial.longer:
-        return found
-    longer = base.updated({"simulation.duration": trial.longer})
-    settled = trial.ends({f"camera.{what}": np.array([found.fails_at])}, longer).settled
-    return replace(found, settles_later=bool(settled[0]))

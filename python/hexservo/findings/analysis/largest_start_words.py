@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from hexservo.findings.analysis.goal import SHOWN
-from hexservo.findings.analysis.largest_start import Direction, LargestStart, Timing
+from hexservo.findings.analysis.largest_start import Direction, LargestStart
+from hexservo.findings.analysis.largest_times import Timing
 from hexservo.findings.analysis.words import finite, in_ms, number, open_section
 from hexservo.findings.evidence import Column, Curves, Item, Line, Section, Table, Verdict, picked
 from hexservo.scenario.laws import LAWS
@@ -81,14 +82,14 @@ def _sentences(found: LargestStart) -> list[str]:
         words.append(
             f"In the direction of the task no error was found that settles within {found.duration:g} s: the "
             f"smallest that was tried, {own.fails_at:.3g} times the task ({_amount(own, own.fails_at)}), already "
-            "fails (empirical)."
+            f"fails{_by_seeds(own, ' (', ')')} (empirical)."
         )
     else:
         factors = apart(own.settles_to, own.fails_at, 3)
         words.append(
             f"In the direction of the task errors settle within {found.duration:g} s and {_WITHIN} up to "
             f"{factors[0]} times the task ({_amount(own, own.settles_to)}, {own.error:.3g} px); "
-            f"{factors[1]} times {_failure(found, own)} (empirical)."
+            f"{factors[1]} times {_failure(found, own)}{_by_seeds(own, ' (', ')')} (empirical)."
         )
     words.append(_others(found))
     words += _timing_words(found) or [f"{_task(found)} does not settle within {_WITHIN}: camera times were not tried."]
@@ -118,7 +119,7 @@ def _others(found: LargestStart) -> str:
         f"Of {len(others)} axes and rotations {len(failing)} have goals that do not settle within "
         f"{found.duration:g} s; the worst is {worst.name}: "
         + (f"up to {settles} settle" if worst.settles_to else "none that was tried settles")
-        + f", {fails} {_failure(found, worst)}, of "
+        + f", {fails} {_failure(found, worst)}{_by_seeds(worst, ' (', ')')}, of "
         f"{_amount(worst, worst.largest)} that were possible."
     )
 
@@ -190,12 +191,16 @@ def _timing_words(found: LargestStart) -> list[str]:
 
 def _doubt(timing: Timing) -> str:
     """Return what speaks against a limit of a camera time: other seeds, and larger times that settle."""
-    doubts = []
-    if timing.reseeded:
-        doubts.append(f"with {len(timing.reseeded)} other seeds it settles in {sum(timing.reseeded)} runs")
+    doubts = [_by_seeds(timing)] if timing.reseeded else []
     if timing.settles_again is not None:
         doubts.append(f"some larger ones settle, up to {in_ms(timing.settles_again)}")
     return f" ({'; '.join(doubts)})" if doubts else ""
+
+
+def _by_seeds(tried: Direction | Timing, before: str = "", after: str = "") -> str:
+    """Return in how many runs with other seeds the smallest size or time that fails settles; empty without noise."""
+    count = len(tried.reseeded)
+    return f"{before}with {count} other seeds it settles in {sum(tried.reseeded)} runs{after}" if count else ""
 
 
 def _task(found: LargestStart) -> str:
@@ -226,6 +231,7 @@ def _items(found: LargestStart) -> list[Item]:
             (Column("its image error", "px", ".3g"), lambda d: finite(d.error)),
             (Column("smallest that fails"), lambda d: None if d.fails_at is None else border_words(d)[1]),
             (Column(longer), lambda d: None if d.settles_later is None else "yes" if d.settles_later else "no"),
+            (Column("other seeds that settle"), _of_seeds),
             (Column("largest possible"), lambda d: _amount(d, d.largest)),
             (Column("limited by"), lambda d: d.limited_by.replace("_", " ")),
             (Column("settles again beyond"), lambda d: "yes" if d.settles_again else "no"),
@@ -242,7 +248,8 @@ def _items(found: LargestStart) -> list[Item]:
         note=f"Settles: the run of {found.duration:g} s completes, stays within {found.band:g} px for its last "
         f"{found.dwell:g} s and keeps all legs within their stroke, speed and joint limits; "
         f"one that is only slow fails, and one that "
-        f"starts within {found.band:g} px needs no motion. The border lies between two sizes that were run.",
+        f"starts within {found.band:g} px needs no motion. The border lies between two sizes that were run; where "
+        "there is noise, with one seed, and others for the smallest size that fails.",
         page=PAGE,
     )
     items: list[Item] = [table]
@@ -258,10 +265,7 @@ def _items(found: LargestStart) -> list[Item]:
                     (Column("settles up to", "ms", ".4g"), lambda t: _milli(t.settles_to)),
                     (Column("smallest that fails", "ms", ".4g"), lambda t: _milli(t.fails_at)),
                     (Column(longer), lambda t: None if t.settles_later is None else "yes" if t.settles_later else "no"),
-                    (
-                        Column("other seeds that settle"),
-                        lambda t: f"{sum(t.reseeded)} of {len(t.reseeded)}" if t.reseeded else None,
-                    ),
+                    (Column("other seeds that settle"), _of_seeds),
                     (Column("settles again up to", "ms", ".4g"), lambda t: _milli(t.settles_again)),
                     (Column("fails below its own", "ms", ".4g"), lambda t: _milli(t.fails_below)),
                     (Column("limited by"), lambda t: None if t.limited_by is None else _LIMITING[t.limited_by]),
@@ -303,7 +307,7 @@ def _data(found: LargestStart) -> dict[str, Any]:
         "runs": found.runs,
         "directions": [
             {
-                **picked(d, "name unit settles_to fails_at settles_later settles_again largest limited_by"),
+                **picked(d, "name unit settles_to fails_at settles_later reseeded settles_again largest limited_by"),
                 "image_error": d.error,
                 "beyond_limits": d.beyond_limits,
                 "overloaded_from": d.overloaded_from,
@@ -325,6 +329,10 @@ def _data(found: LargestStart) -> dict[str, Any]:
             for t in found.timings
         ],
     }
+
+
+def _of_seeds(tried: Direction | Timing) -> str | None:
+    return f"{sum(tried.reseeded)} of {len(tried.reseeded)}" if tried.reseeded else None
 
 
 def _name(direction: Direction) -> str:

@@ -1,0 +1,127 @@
+"""Runs of variations of a scenario: which of them settle, within the limits of the legs."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from hexservo.findings.analysis.scene import AT_HOME
+from hexservo.findings.analysis.tried import bordering
+from hexservo.run.batch import metrics_of, simulate_batch, whole
+from hexservo.run.leg_limits import LimitUse, most_used, overload
+from hexservo.scenario.arrays import Array, Mask
+from hexservo.scenario.noise import is_random
+from hexservo.scenario.scenario import Scenario
+
+SEEDS = 4
+"""With which the smallest size and the first time that fail are repeated where runs are random."""
+
+_SHORT, _LONG = 2.0, 10.0  # [s], of a run, and of one where the task itself needs longer
+
+Tried: TypeAlias = dict[float, bool]
+"""Size or time -> whether it settled."""
+
+
+def border(tried: Mapping[float, bool]) -> tuple[float, float | None]:
+    """Return the largest size below the smallest that fails, and that one: (0, ...) for none, (..., None) for none."""
+    good, failed = bordering(tried)
+    return good or 0.0, failed
+
+
+def first_overload(overloads: Mapping[float, LimitUse], settles_to: float) -> float | None:
+    """Return the smallest size or time with forces beyond the legs' limit, up to the border; None where there is none.
+
+    The runs do not limit forces unless `actuators.saturation` or motors (`position_torque`) do, so that such a run
+    settles all the same.
+    """
+    return min((size for size in overloads if size <= settles_to), default=None)
+
+
+@dataclass(frozen=True, eq=False)
+class Ends:
+    """Results of variations of a scenario, one row each."""
+
+    settled: Mask  # in the image, with all legs within their limits all the way
+    times: Array  # [s], settling time of the image error; NaN: none
+    beyond: list[LimitUse | None]  # the limit that is exceeded most, where a run fails for the legs' limits alone
+    overloads: list[LimitUse | None]  # the limit of the efforts, where a run settles with more
+    ran: Mask  # False: refused by the core
+
+
+class SettlingRuns:
+    """Runs variations of a scenario for one duration, and counts them."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.runs = 0
+        own, step = scenario.simulation.duration, scenario.simulation.step
+        # the short duration, unless the task itself needs the longer one
+        self.longer = min(own, _whole(_LONG, step))
+        self.duration = min(own, _whole(_SHORT, step))
+        self.scenario = scenario.updated({**AT_HOME, "simulation.duration": self.duration})
+        self.task_settles = self._settles(self.scenario)
+        if not self.task_settles and self.duration < self.longer and self._settles(self.longest()):
+            self.task_settles, self.duration, self.scenario = True, self.longer, self.longest()
+
+    def longest(self) -> Scenario:
+        """Return the scenario with the longer duration."""
+        return self.scenario.updated({"simulation.duration": self.longer})
+
+    def reseeded(self, variations: Mapping[str, Array], scenario: Scenario | None = None) -> list[tuple[bool, ...]]:
+        """Return whether each variation settles with each of some other seeds; empty where runs are not random."""
+        base = self.scenario if scenario is None else scenario
+        count = max(len(values) for values in variations.values())
+        if not is_random(base):
+            return [()] * count
+        seeds = [seed for seed in range(SEEDS + 1) if seed != base.seed][:SEEDS]
+        repeated = {key: np.repeat(values, SEEDS, axis=0) for key, values in variations.items()}
+        settled = self.ends({**repeated, "seed": np.tile(seeds, count)}, base).settled.reshape(count, SEEDS)
+        return [tuple(bool(good) for good in row) for row in settled]
+
+    def _settles(self, task: Scenario) -> bool:
+        goal = np.array([task.target.desired_features])
+        return bool(self.ends({"target.desired_features": goal}, task).settled[0])
+
+    def ends(self, variations: Mapping[str, Array], scenario: Scenario | None = None) -> Ends:
+        """Run each variation and return how it ends.
+
+        What the core refuses, such as a goal that the search of `pbvs` does not find, is not run.
+        """
+        base = self.scenario if scenario is None else scenario
+        count = max(len(values) for values in variations.values())
+        settled, ran = np.zeros(count, dtype=bool), np.ones(count, dtype=bool)
+        times = np.full(count, np.nan)
+        beyond: list[LimitUse | None] = [None] * count
+        overloads: list[LimitUse | None] = [None] * count
+        while ran.any():
+            rows = np.flatnonzero(ran)
+            try:
+                varied = {key: values[rows] for key, values in variations.items()}
+                batch = whole(simulate_batch(base, varied, log="metrics"))
+            except ValueError as error:
+                refused = re.match(r"scenario (\d+): ", str(error))
+                if refused is None:
+                    raise
+                ran[rows[int(refused[1])]] = False
+                continue
+            self.runs += len(rows)
+            times[rows] = batch.metrics["settling_time"]
+            in_image = (batch.outcome == "completed") & np.isfinite(times[rows])
+            for k, row in enumerate(rows):
+                found = metrics_of(batch, k)
+                use = most_used(base, found)
+                if batch.outcome[k] == "leg_limit" or (in_image[k] and use.share > 1.0):
+                    beyond[row] = use
+                else:
+                    settled[row] = in_image[k]
+                    overloads[row] = overload(base, found) if in_image[k] else None
+            break
+        return Ends(settled, times, beyond, overloads, ran)
+
+
+def _whole(duration: float, step: float) -> float:
+    """Round a duration to a whole number of steps."""
+    return max(round(duration / step), 1) * step
