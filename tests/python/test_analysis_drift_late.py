@@ -15,6 +15,7 @@ from hexservo.findings.analysis.drift import Drift
 from hexservo.findings.analysis.drift_loop import loop_under_errors
 from hexservo.findings.analysis.drift_patterns import Pattern
 from hexservo.findings.analysis.drift_rates import Lateness, exponential, late_rates
+from hexservo.findings.analysis.loop_of_scenario import loop_at_rest
 
 GAIN = 4.0
 
@@ -55,6 +56,15 @@ def test_the_border_of_images_that_are_held() -> None:
 def test_creep_is_as_slow_as_a_late_image_makes_it() -> None:
     """g E/(1 + g tau (1 - E)), to the second order of the rate times tau: 0.09 * 0.3."""
     assert slowest(0.02, 0.3, 0.1).real == pytest.approx(0.08 / (1.0 + 1.2 * 0.98), rel=0.01)
+
+
+def test_the_linear_loop_at_the_own_errors_serves_camera_rate_too() -> None:
+    scenario = hs.load_scenario("slow-camera")
+    loop_at_rest.cache_clear()
+    assert hs.analyse(scenario, ["drift"]).drift.loop is not None
+    assert loop_at_rest.cache_info().hits == 0
+    assert hs.analyse(scenario, ["camera_rate"]).camera_rate.open is None
+    assert loop_at_rest.cache_info().hits == 1
 
 
 def test_growth_too_fast_for_images_is_that_without_them() -> None:
