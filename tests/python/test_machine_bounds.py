@@ -80,7 +80,7 @@ def test_random_machines_hold_their_platform(paper: hs.Scenario) -> None:
         robot.platform_angles = np.deg2rad(np.array([-60.0, 60.0, 60.0, 180.0, 180.0, 300.0]) - gaps[1] * signs)
         robot.platform_radius = 1.0
         robot.base_radius = random.uniform(0.6, 3.0)
-        robot.home_position = [0.0, 0.0, -random.uniform(0.3, 5.0)]
+        robot.home_position = np.array([0.0, 0.0, -random.uniform(0.3, 5.0)])
         ratios.append(ratio(robot))
     assert min(ratios) > 1e-3
 
@@ -101,13 +101,14 @@ def test_masses_and_lengths_of_a_machine_have_bounds(key: str) -> None:
     assert KEYS[key]["minimum"] in (0.0, -most)
 
 
-@pytest.mark.parametrize("value", [1e12, 1e60, 1e300])
+@pytest.mark.parametrize("value", [1e20, 1e60, 1e300])
 @pytest.mark.parametrize("key", ["robot.mass", "robot.payload.mass", "robot.stroke", "robot.base_radius"])
 def test_absurd_numbers_are_refused_with_the_bound(paper: hs.Scenario, key: str, value: float) -> None:
-    bound = f"< {KEYS[key]['maximum']:g}, got {value!r}"
-    with pytest.raises(hs.ScenarioError, match=f"^{key}: expected a number >=? 0 and {bound}".replace("+", r"\+")):
+    most = KEYS[key]["maximum"]
+    words = f"{key}: expected a number >=? 0 and < {most:g}( or null)?, got {value!r}".replace("+", r"\+")
+    with pytest.raises(hs.ScenarioError, match=f"^{words}"):
         paper.updated({key: value})
-    with pytest.raises(ValueError, match=f"{key}: expected a number >=? 0 and {bound}".replace("+", r"\+")):
+    with pytest.raises(ValueError, match=words):
         hs.simulate_batch(paper, {key: [value]})
 
 
