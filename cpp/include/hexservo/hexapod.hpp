@@ -223,7 +223,7 @@ Pose<S> home_pose(const Hexapod<S>& hexapod) {
 }
 
 /// sigma_min/sigma_max of H at home below which joints do not hold a platform. The machines that are packaged have 0.09
-/// and more; joints in another order, typed with four digits, have up to 4e-5.
+/// and more; joints in reverse order, typed with four digits, have up to 5e-5.
 inline constexpr double kLeastSingularRatio = 1e-4;
 
 /// Builds the legs and checks that they can hold a platform.
