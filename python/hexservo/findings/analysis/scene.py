@@ -224,7 +224,7 @@ class Scene:
 
         Of rotary legs angles [rad], infinite where a crank does not close.
         """
-        found = _at_each(self.hexapod.leg_lengths, poses, 6) - self.hexapod.mid_lengths
+        found = _at_each(self.hexapod.leg_travel, poses, 6)
         return np.where(np.isnan(found), np.inf, found)
 
     def lever_arms(self, poses: Poses) -> Array:
