@@ -5,7 +5,6 @@
 #include "hexservo/position_actuators.hpp"
 #include "hexservo/target_tracking.hpp"
 
-#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <vector>
@@ -20,8 +19,8 @@ py::array_t<double> drive_response(const py::array_t<double, py::array::c_style 
                                    double speed_limit, double acceleration_limit) {
   if (commands.ndim() != 1) throw py::value_error("commands: expected shape (n,)");
   const PositionResponse<double> drive{bandwidth, damping, speed_limit, acceleration_limit};
-  rate = std::clamp(rate, -speed_limit, speed_limit);
   const PositionedLeg<double> leg(drive, leg_steps(drive, period), period);
+  rate = leg.first_rate(rate);
   const auto command = commands.unchecked<1>();
   py::array_t<double> response(commands.shape(0));
   auto out = response.mutable_unchecked<1>();
@@ -63,7 +62,6 @@ double least_substeps(const Settings& settings) {
 void bind_drives(py::module_& m) {
   m.attr("MOTOR_STEPS") = kMotorSteps;
   m.attr("FEEDBACK_EASE") = kEase;
-  m.attr("STROKE_TOLERANCE") = kStrokeTolerance;
   m.attr("LONGEST_FRAME_GAP") = kLongestFrameGap;
   m.attr("MAX_ACTUATOR_DELAY") = kMaxActuatorDelay;
   m.def("drive_response", &drive_response, py::arg("commands"), py::arg("position"), py::arg("rate"), py::arg("period"),

@@ -104,6 +104,14 @@ void bind_hexapod(py::module_& m) {
           py::arg("position"), py::arg("quaternion"),
           "Inverse kinematics: (6,) lengths [m], or crank angles [rad], NaN where a crank does not close.")
       .def(
+          "leg_travel",
+          [](const Hexapod<double>& h, const Vector3<double>& p, const Vector4<double>& q) {
+            return leg_travel<double>(legs_at(h, p, q).lengths, h.mid_lengths, h.stroke);
+          },
+          py::arg("position"), py::arg("quaternion"),
+          "(6,) from the middle of the stroke [m], or [rad]; its end where a leg is beyond it by rounding alone, NaN "
+          "where a crank does not close.")
+      .def(
           "leg_tilts",
           [](const Hexapod<double>& h, const Vector3<double>& p, const Vector4<double>& q) {
             return leg_tilts(h, checked_pose(p, q));

@@ -56,6 +56,18 @@ void set_value(Settings& settings, const std::string& name, const py::object& va
   }
 }
 
+/// Gains that may use the assumed points tell whether they do.
+bool needs_goal(const Settings& settings) {
+  return std::visit(
+      [](const auto& gains) {
+        if constexpr (requires { gains.needs_goal(); })
+          return gains.needs_goal();
+        else
+          return false;
+      },
+      settings.controller.gains);
+}
+
 void bind_keys(py::module_& m) {
   using K = ScenarioKey;
   py::class_<K>(m, "ScenarioKey", "One key of a scenario file.")
@@ -142,6 +154,11 @@ void bind_traits(py::module_& m) {
   py::dict traits;
   for (const LawTraits& law : kLawTraits) traits[text(law.name)] = py::cast(law);
   m.attr("LAW_TRAITS") = traits;
+  m.attr("FULL_TURN") = kFullTurn;
+  m.attr("LONGEST_TURN") = kLongestTurn;
+  m.attr("MOST_LENGTH") = kMostLength;
+  m.attr("MOST_MASS") = kMostMass;
+  m.attr("MOST_INERTIA") = kMostInertia;
   m.attr("LEAST_POINTS") = kLeastPoints;
   m.attr("MOST_POINTS") = kMostPoints;
 }
@@ -155,6 +172,8 @@ void bind_settings(py::module_& m) {
       .def(py::init([](const std::string& law) { return Settings::of(law_named(law)); }), py::arg("law"),
            "The defaults of a law; ValueError for an unknown one.")
       .def_property_readonly("law", [](const Settings& s) { return text(law_traits(s.law()).name); })
+      .def_property_readonly("needs_goal", &needs_goal,
+                             "The law, with its gains, uses the assumed target points and the pose of their goal.")
       .def_property_readonly(
           "robot", [](const Settings& s) { return s.robot; }, "a copy")
       .def_property_readonly(

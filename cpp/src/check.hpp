@@ -2,6 +2,8 @@
 /// Words for misuse: "key: expected ..., got ...".
 #pragma once
 
+#include "hexservo/parameters.hpp"
+
 #include <Eigen/Core>
 
 #include <cmath>
@@ -50,10 +52,7 @@ void require_positive(const std::string& key, const Eigen::Matrix<double, N, 1>&
   for (int i = 0; i < N; ++i) require_positive(words(key, "[", i, "]"), v(i));
 }
 
-/// Longest rotation vector of a pose of six numbers [rad]: longer ones are probably degrees.
-inline constexpr double kLongestTurn = 6.283185307179586 * (1.0 + 1e-12);
-
-/// Refuses a displacement (m; rad) whose rotation vector is longer than that.
+/// Refuses a displacement (m; rad) whose rotation vector is longer than `kLongestTurn`.
 inline void require_turn(const std::string& key, const Eigen::Matrix<double, 6, 1>& displacement) {
   const double turn = displacement.tail<3>().stableNorm();
   if (!(turn <= kLongestTurn))

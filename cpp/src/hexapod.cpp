@@ -10,8 +10,7 @@ using detail::words;
 
 namespace {
 
-constexpr double kUnit = 1e-6;           // what a unit vector's length, or a right angle's cosine, may be off
-constexpr double kSingularRatio = 1e-9;  // sigma_min/sigma_max of H below which a geometry cannot hold a platform
+constexpr double kUnit = 1e-6;  // what a unit vector's length, or a right angle's cosine, may be off
 
 /// A few poses around home without symmetry: a geometry that is singular at all of them is singular everywhere.
 std::array<Pose<double>, 3> generic_poses(const Hexapod<double>& hexapod) {
@@ -63,6 +62,25 @@ void require_distinct_legs(const Hexapod<double>& hexapod, const RobotParameters
         refuse(joints_key(robot), "six different legs", words("legs ", k + 1, " and ", i + 1, " that coincide"));
     }
   }
+}
+
+/// Legs that hold the platform at home.
+void require_hold(const Hexapod<double>& hexapod, const RobotParameters& robot) {
+  const double at_home = condition(hexapod, home_pose(hexapod));
+  if (at_home >= kLeastSingularRatio) return;
+  double best = at_home;
+  for (const Pose<double>& pose : generic_poses(hexapod)) best = std::max(best, condition(hexapod, pose));
+  std::ostringstream ratio;
+  ratio.precision(2);
+  ratio << "(smallest/largest singular value " << at_home << ")";
+  const std::string order = "the joints of platform and base in the order of the legs, both counted the same way round";
+  if (best >= kLeastSingularRatio)
+    refuse("robot.home_position", words("a home pose that is not singular, and ", order),
+           words("a wrench map that is singular at home ", ratio.str()));
+  refuse(joints_key(robot),
+         words("legs that hold the platform in all six directions: ", order,
+               " (regular hexagons joined in cyclic order, or a platform similar to its base, never hold)"),
+         words("a wrench map that is singular at home and around it ", ratio.str()));
 }
 
 /// Unit vectors of a user, exactly of length 1.
@@ -191,19 +209,7 @@ Hexapod<double> make_hexapod(const RobotParameters& robot) {
     refuse("robot.stroke_centre", words("a middle of the travel within the stroke of ", robot.stroke, " m from home"),
            words(robot.stroke_centre, " m"));
 
-  const double at_home = condition(hexapod, home);
-  double best = at_home;
-  if (!(best >= kSingularRatio))
-    for (const Pose<double>& pose : generic_poses(hexapod)) best = std::max(best, condition(hexapod, pose));
-  if (!(best >= kSingularRatio))
-    refuse(joints_key(robot),
-           "legs that hold the platform in all six directions (regular hexagons joined in cyclic order, or a platform "
-           "similar to its "
-           "base, never do)",
-           words("a wrench map that is singular at every pose (smallest/largest singular value ", best, ")"));
-  if (!(at_home >= kSingularRatio))
-    refuse("robot.home_position", "a home pose that is not singular",
-           words("a wrench map with smallest/largest singular value ", at_home));
+  require_hold(hexapod, robot);
   return hexapod;
 }
 

@@ -34,6 +34,9 @@ double relative_distance(const Eigen::MatrixBase<A>& a, const Eigen::MatrixBase<
   return size == 0.0 ? distance(a, b) : distance(a, b) / size;
 }
 
+/// The symmetric matrix of a lower triangle.
+inline Matrix6<double> whole(const Matrix6<double>& lower) { return lower.selfadjointView<Eigen::Lower>(); }
+
 /// One lane of a pack, or the number itself.
 inline double lane_of(double x, int /*lane*/) { return x; }
 template <int W>

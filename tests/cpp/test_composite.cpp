@@ -177,15 +177,14 @@ TEST_CASE("a pose difference leads from one pose to the other, in B") {
 
 // ---- The pose error -------------------------------------------------------------------------------------------------
 
-TEST_CASE("normal_matrix is J^T J, symmetric to the last bit") {
+TEST_CASE("normal_matrix is the lower triangle of J^T J") {
   Random random(8804);
   CAPTURE(random.seed());
   for (int trial = 0; trial < 100; ++trial) {
     const Situation s = random_situation(random);
     const Matrix6<double> normal = s.jacobian().normal_matrix();
     const Jacobian J = s.jacobian().matrix();
-    CHECK(normal == normal.transpose());
-    CHECK(relative_distance(normal, J.transpose() * J) <= 20.0 * kEpsilon);
+    CHECK(relative_distance(whole(normal), J.transpose() * J) <= 20.0 * kEpsilon);
   }
 }
 

@@ -508,6 +508,15 @@ TEST_CASE("geometries that cannot hold a platform are refused") {
        }},
       {"all legs at one platform joint", "robot.platform_angles",
        [](RobotParameters& r) { r.platform_angles.setConstant(0.3); }},
+      {"platform joints in reverse order, typed to 0.1 mm", "robot.home_position",
+       [](RobotParameters& r) {
+         Joints reversed;
+         for (int leg = 0; leg < 6; ++leg) {
+           const double angle = r.platform_angles(5 - leg);
+           reversed.row(leg) << 1e-4 * std::round(1e3 * std::cos(angle)), 1e-4 * std::round(1e3 * std::sin(angle)), 0.0;
+         }
+         r.platform_joints = reversed;
+       }},
       {"a platform in the plane of its base", "robot.home_position",
        [](RobotParameters& r) { r.home_position.setZero(); }},
       {"legs of no length", "robot.home_position",

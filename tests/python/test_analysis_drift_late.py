@@ -60,6 +60,15 @@ def test_creep_is_as_slow_as_a_late_image_makes_it() -> None:
     assert slowest(0.02, 0.3, 0.1).real == pytest.approx(0.08 / (1.0 + 1.2 * 0.98), rel=0.01)
 
 
+def test_the_linear_loop_at_the_own_errors_serves_camera_rate_too() -> None:
+    scenario = hs.load_scenario("slow-camera")
+    loop_at_rest.cache_clear()
+    assert hs.analyse(scenario, ["drift"]).drift.loop is not None
+    assert loop_at_rest.cache_info().hits == 0
+    assert hs.analyse(scenario, ["camera_rate"]).camera_rate.open is None
+    assert loop_at_rest.cache_info().hits == 1
+
+
 def test_growth_too_fast_for_images_is_that_without_them() -> None:
     moved = np.diag([-1e6, 1.0, 1.0, 1.0, 1.0, 1.0])[None]
     rates = late_rates(moved, np.ones((1, 6, 6)), Lateness(0.1, 0.1, ""))

@@ -52,6 +52,17 @@ def test_leg_travels_have_three_digits_of_the_stroke(paper: hs.Scenario, stroke:
     assert cell_text(table.rows[0][place], table.columns[place]) == text
 
 
+@pytest.mark.parametrize(("beyond", "within"), [(-1e-6, True), (0.0, True), (5e-10, True), (2e-9, False)])
+def test_a_leg_beyond_its_stroke_by_rounding_is_at_its_end(paper: hs.Scenario, beyond: float, within: bool) -> None:
+    shift = np.array([0.004, 0.0, 0.0, 0.0, 0.0, 0.0])
+    scene = scene_of(paper)
+    travel = np.abs(scene.leg_travel(scene.home.moved(shift))).max()
+    start = {"robot.stroke": travel / (1.0 + beyond), "simulation.start.pose": shift.tolist()}
+    margin = reach_of_start_and_goal(paper.updated(start)).start
+    assert margin.within == within
+    assert margin.margin == pytest.approx(0.0 if within and beyond > 0 else -beyond * travel, rel=1e-4, abs=1e-14)
+
+
 @pytest.mark.parametrize("preset", ["micro", "cubic"])
 def test_turn_about_z_by_hand(paper: hs.Scenario, preset: str) -> None:
     """l_i^2 = r_p^2 + r_b^2 - 2 r_p r_b cos(phi_i + turn - beta_i) + z^2; the first leg at l_0 +- stroke ends it."""

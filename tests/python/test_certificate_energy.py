@@ -45,9 +45,9 @@ def trapezoid(values: Array, step: float) -> float:
 # ---- By hand --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("mass", [1e-150, 1e-12, 1e18, 1e150])
+@pytest.mark.parametrize("mass", [1e-150, 1e-12, 1e6, 9.9e8])
 def test_a_constant_force_does_its_work_on_any_mass(paper: hs.Scenario, mass: float) -> None:
-    """The inertia is found from accelerations beside 9.8 m/s^2, to which 1 N adds nothing on a mass of 1e18 kg."""
+    """The inertia is found from accelerations beside 9.8 m/s^2, to which 1 N adds little on a mass of 1e9 kg."""
     time = 0.05
     scenario = varied(
         paper, FREE, {"robot.mass": mass, "uncertainty.gravity": 1e-3, "simulation.duration": time, "robot.stroke": 1.0}
@@ -59,13 +59,16 @@ def test_a_constant_force_does_its_work_on_any_mass(paper: hs.Scenario, mass: fl
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "reason"),
-    [("gravity", 1.7e308, "weight is too large"), ("payload.mass", 1e300, "inertia is too small beside the weight")],
+    ("changes", "reason"),
+    [
+        ({"robot.gravity": 1.7e308}, "weight is too large"),
+        ({"robot.mass": 1e-9, "robot.payload.mass": 9e8}, "inertia is too small beside the weight"),
+    ],
 )
 def test_an_inertia_that_cannot_be_measured_is_an_open_question(
-    paper: hs.Scenario, key: str, value: float, reason: str
+    paper: hs.Scenario, changes: dict[str, Any], reason: str
 ) -> None:
-    scenario = varied(paper, {f"robot.{key}": value, "controller.law": "pbvs", "simulation.duration": 0.05})
+    scenario = varied(paper, changes, {"controller.law": "pbvs", "simulation.duration": 0.05})
     certificate = hs.certify(hs.simulate(scenario))
     assert certificate.energy is None
     assert reason in certificate.open_questions["energy"]

@@ -304,7 +304,7 @@ def test_all_bad_settings_are_reported_together(command: str) -> None:
         'expected KEY=VALUE, as uncertainty.gravity=0.075, got "name"',
         'got "=1"',
         'uncertainty.dept: unknown key; did you mean "depth"?',
-        "robot.mass: expected a number > 0, got -1",
+        "robot.mass: expected a number > 0 and < 1e+09, got -1",
         "not valid YAML",
         'simulation.step: expected a number > 0, got "on"',
     ):
@@ -505,7 +505,7 @@ def test_check_lists_every_problem(tmp_path: Path) -> None:
     run = Run("check", str(file))
     assert (run.code, run.out) == (2, "")
     assert len(run.errors) == 2
-    assert run.errors[0].startswith(f"Error: {file}: robot.mass: expected a number > 0, got -1")
+    assert run.errors[0].startswith(f"Error: {file}: robot.mass: expected a number > 0 and < 1e+09, got -1")
     assert run.errors[1].startswith(
         f'Error: {file}: controller.law: expected one of "hybrid", "composite", "kelly", "resolved_rate", "pbvs", '
         '"computed_torque", "tracking", got "hybird"'

@@ -189,3 +189,18 @@ def test_keys_of_a_controller_follow_from_the_kind_of_its_drives(name: str, tick
     forces = {"actuators.saturation", "actuators.bandwidth"}
     positions = {"controller.virtual_platform.damping", "actuators.position.bandwidth"}
     assert not of_header & (forces if "robot.stroke" in tick else positions)
+
+
+@pytest.mark.parametrize("law", _core.LAW_TRAITS)
+def test_laws_whose_gains_use_target_points_need_a_goal(law: str) -> None:
+    """By default those whose law does; `resolved_rate` and `tracking` by a choice among their gains."""
+    choices = {"resolved_rate": ("jacobian_at", {"current": False, "desired": True, "mean": True}),
+               "tracking": ("follow", {"pose": True, "direction": False})}  # fmt: skip
+    settings = Settings(law)
+    if law not in choices:
+        assert settings.needs_goal == _core.LAW_TRAITS[law].points == (law == "pbvs")
+        return
+    key, needs = choices[law]
+    for choice, needed in needs.items():
+        settings[f"controller.{law}.{key}"] = choice
+        assert settings.needs_goal == needed

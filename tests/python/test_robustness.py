@@ -129,7 +129,7 @@ def test_no_number_may_be_nan_or_infinite(form: str, block: str) -> None:
 
 @pytest.mark.parametrize("mass", [0, -0.06, -1e300])
 def test_a_mass_is_positive(mass: float) -> None:
-    assert f"expected a number > 0, got {mass}" in refused({"robot.mass": mass}, "robot.mass")
+    assert f"expected a number > 0 and < 1e+09, got {mass}" in refused({"robot.mass": mass}, "robot.mass")
 
 
 @pytest.mark.parametrize(

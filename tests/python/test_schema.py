@@ -73,7 +73,8 @@ def test_a_key_takes_the_same_values(key: str) -> None:
             assert entry["type"] == "seed"
             assert (rule.at_least, rule.at_most) == (0, 2**64 - 1)
     else:
-        element = rule.element if isinstance(rule, ArrayRule) else rule if isinstance(rule, Number) else Number()
+        whole = rule if isinstance(rule, Number) else Number()
+        element = rule.element if isinstance(rule, ArrayRule | Inertia) else whole
         least = element.at_least if element.above is None else element.above
         most = element.at_most if element.below is None else element.below
         if not key.endswith(".sample_period"):  # a separate rule, without bounds to read

@@ -303,6 +303,11 @@ class PointWeights {
   Row of_row(int i, const Row& row) const {
     return weight_(i) * row;
   }
+  /// The square roots times numbers of the points of register r (`PointVector`).
+  template <class Numbers>
+  Numbers root_of_part(std::size_t r, const Numbers& numbers) const {
+    return point_roots_.part[r] * numbers;
+  }
   /// Weighted mean of one number of each point, w_i x_i summed over the sum of w_i.
   S share(int i) const { return weight_(i) * inverse_sum_; }
   /// Largest absolute coordinate of the points that count.
@@ -330,6 +335,7 @@ class PointWeights {
         weights_(k) = weight_(i);
         roots_(k) = sqrt(weight_(i));
       }
+      point_roots_.set(i, roots_(2 * i));
     }
     inverse_sum_ = S(1.0) / sum;
     per_freedom_ = S(1.0) / larger(S(S(2.0) * counted - S(6.0)), S(1.0));
@@ -337,6 +343,7 @@ class PointWeights {
 
   Vector<S, N> weight_;
   Vector<S, 2 * N> weights_, roots_;
+  PointVector<S, N> point_roots_ = PointVector<S, N>::Zero();
   S inverse_sum_, per_freedom_;
 };
 
@@ -354,6 +361,10 @@ class PointWeights<S, kPoints> {
   template <class Row>
   const Row& of_row(int /*i*/, const Row& row) const {
     return row;
+  }
+  template <class Numbers>
+  const Numbers& root_of_part(std::size_t /*r*/, const Numbers& numbers) const {
+    return numbers;
   }
   S share(int /*i*/) const { return S(1.0 / N); }
   S largest(const Vector<S, 2 * N>& image) const { return largest_abs<S, 2 * N, 1>(image); }
@@ -390,8 +401,55 @@ template <class S>
     wrench << rotate<S>(R_BE, force), rotate<S>(R_BE, moment);
   return wrench;
 }
+/// Information about a displacement of the camera, in C, becomes that about one of the platform, in B.
+/// @param information its lower triangle is read, and given
+template <class S>
+[[gnu::noinline, gnu::cold]] Matrix6<S> information_on_camera(const hexservo::Placement<S>& placement,
+                                                              const Vector3<S>& p_BE, const Matrix3<S>& R_BE,
+                                                              Matrix6<S> information) {
+  for (int j = 1; j < 6; ++j)
+    for (int i = 0; i < j; ++i) information(i, j) = information(j, i);
+  for (int side = 0; side < 2; ++side) {
+    Matrix6<S> turned;
+    for (int j = 0; j < 6; ++j) {
+      const Vector6<S> column = information.col(j);
+      turned.row(j) = wrench_of_camera<S>(placement, p_BE, R_BE, Vector3<S>(column.template head<3>()),
+                                          Vector3<S>(column.template tail<3>()))
+                          .transpose();
+    }
+    information = turned;
+  }
+  return information;
+}
 
 }  // namespace detail
+
+/// A Jacobian of the image by its rows, those of the points of a register side by side: in B, or through a mount in C.
+template <class S, int N = kPoints>
+struct ImageRows {
+  using Register = typename PointVector<S, N>::Register;
+  static constexpr std::size_t registers = PointVector<S, N>::registers;
+
+  std::array<Vector6<Register>, registers> x, y;  ///< of the points' x and y [px/m; px/rad]
+
+  /// J^T J, 6 x 6: its lower triangle.
+  [[gnu::always_inline]] Matrix6<S> normal_matrix() const {
+    return lower_lane_sums<S>([this](int i, int j) {
+      Register sum = x[0](i) * x[0](j) + y[0](i) * y[0](j);
+      for (std::size_t r = 1; r < registers; ++r) sum += x[r](i) * x[r](j) + y[r](i) * y[r](j);
+      return sum;
+    });
+  }
+
+  friend ImageRows mean(const ImageRows& a, const ImageRows& b) {
+    ImageRows half;
+    for (std::size_t r = 0; r < registers; ++r) {
+      half.x[r] = Register(0.5) * (a.x[r] + b.x[r]);
+      half.y[r] = Register(0.5) * (a.y[r] + b.y[r]);
+    }
+    return half;
+  }
+};
 
 /// J = sign J_im(xi, Z) blkdiag(R^T, R^T) of (12): twist in B to image velocity; applied point by point. Through a
 /// mount the twist at E becomes that of the camera first, v_C = v + w x (R r). Of a camera on the base it is that of B
@@ -464,15 +522,14 @@ class ImageJacobian {
     for (std::size_t r = 0; r < registers; ++r)
       add_point_wrench<R>(R(f_), R(inverse_f_), points_.x.part[r], points_.y.part[r], inverse_depth_.part[r],
                           image_force.x.part[r], image_force.y.part[r], force, moment);
-    const auto [fx, fy] = lane_sums<S>(force(0), force(1));
-    const auto [fz, mx] = lane_sums<S>(force(2), moment(0));
-    const auto [my, mz] = lane_sums<S>(moment(1), moment(2));
-    const Vector3<S> force_C(fx, fy, fz), moment_C(mx, my, mz);
+    Vectors3<S, 2> wrench;  // force and moment side by side, in C
+    wrench.x = lane_sums<S>(force(0), moment(0));
+    wrench.y = lane_sums<S>(force(1), moment(1));
+    wrench.z = lane_sums<S>(force(2), moment(2));
     if (placement_ != nullptr) [[unlikely]]
-      return SideBySide<S, 6>(
-          detail::wrench_of_camera<S>(*placement_, Vector3<S>(p_BE_), Matrix3<S>(R_BE_), force_C, moment_C));
-    const Vector3<S> force_B = rotate<S>(R_BE_, force_C), moment_B = rotate<S>(R_BE_, moment_C);
-    return SideBySide<S, 6>::of(force_B(0), force_B(1), force_B(2), moment_B(0), moment_B(1), moment_B(2));
+      return SideBySide<S, 6>(detail::wrench_of_camera<S>(*placement_, Vector3<S>(p_BE_), Matrix3<S>(R_BE_),
+                                                          wrench.column(0), wrench.column(1)));
+    return stacked<S>(rotate<S, 2>(R_BE_, wrench));
   }
 
   /// J as a 2N x 6 matrix: twist in B (m/s; rad/s) to image velocity [px/s].
@@ -485,20 +542,26 @@ class ImageJacobian {
     return J;
   }
 
-  /// J^T W J, 6 x 6: information in the image about a displacement in B [px^2/m^2 ... px^2/rad^2]; J is not formed. Of
-  /// packs the lower triangle, which `Cholesky` reads; of one number all of it, whose columns fill registers.
-  Matrix6<S> normal_matrix(const PointWeights<S, N>& weights = {}) const {
-    Matrix6<S> sum = Matrix6<S>::Zero();
-    for (int i = 0; i < N; ++i) {
-      const Vector6<S> x = row(i, S(1.0), S(0.0)), y = row(i, S(0.0), S(1.0));
-      const Vector6<S>&wx = weights.of_row(i, x), &wy = weights.of_row(i, y);
-      for (int column = 0; column < 6; ++column)
-        if constexpr (kLanes<S> > 1)
-          for (int k = column; k < 6; ++k) sum(k, column) += wx(k) * x(column) + wy(k) * y(column);
-        else
-          sum.col(column) += wx * x(column) + wy * y(column);
+  /// W^(1/2) J by its rows.
+  [[gnu::always_inline]] ImageRows<S, N> rows(const PointWeights<S, N>& weights) const {
+    const Matrix3<R> turn = broadcast<R>(placement_ == nullptr ? R_BE_ : Matrix3<S>(Matrix3<S>::Identity()));
+    ImageRows<S, N> J;
+    for (std::size_t r = 0; r < registers; ++r) {
+      J.x[r] = weights.root_of_part(r, rows_of_part(r, R(1.0), R(0.0), turn));
+      J.y[r] = weights.root_of_part(r, rows_of_part(r, R(0.0), R(1.0), turn));
     }
-    return sum;
+    return J;
+  }
+
+  /// J^T W J, 6 x 6: information in the image about a displacement in B [px^2/m^2 ... px^2/rad^2]; its lower triangle,
+  /// which `Cholesky` reads.
+  Matrix6<S> normal_matrix(const PointWeights<S, N>& weights = {}) const { return normal_matrix(rows(weights)); }
+  /// The same of other rows, those of a Jacobian at this pose of the platform or a mean of some.
+  [[gnu::always_inline]] Matrix6<S> normal_matrix(const ImageRows<S, N>& J) const {
+    const Matrix6<S> information = J.normal_matrix();
+    if (placement_ != nullptr) [[unlikely]]
+      return detail::information_on_camera<S>(*placement_, Vector3<S>(p_BE_), Matrix3<S>(R_BE_), information);
+    return information;
   }
 
  private:
@@ -515,6 +578,21 @@ class ImageJacobian {
     for (int k = 0; k < 3; ++k) {
       wrench(k) = force_B(k);
       wrench(k + 3) = moment_B(k);
+    }
+    return wrench;
+  }
+
+  /// The same of all points of a register, with force and moment in C turned by a matrix.
+  [[gnu::always_inline]] Vector6<R> rows_of_part(std::size_t r, const R& fx, const R& fy,
+                                                 const Matrix3<R>& turn) const {
+    Vector3<R> force(R(0.0), R(0.0), R(0.0)), moment(R(0.0), R(0.0), R(0.0));
+    add_point_wrench<R>(R(f_), R(inverse_f_), points_.x.part[r], points_.y.part[r], inverse_depth_.part[r], fx, fy,
+                        force, moment);
+    const Vector3<R> turned = rotate<R>(turn, force), about = rotate<R>(turn, moment);
+    Vector6<R> wrench;
+    for (int k = 0; k < 3; ++k) {
+      wrench(k) = turned(k);
+      wrench(k + 3) = about(k);
     }
     return wrench;
   }

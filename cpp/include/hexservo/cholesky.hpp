@@ -74,7 +74,7 @@ class Cholesky {
 #pragma GCC unroll 6
     for (int i = N - 2; i >= 0; --i)
 #pragma GCC unroll 6
-      for (int k = i + 1; k < N; ++k) b(i) -= L_(k, i) * b(k);
+      for (int k = N - 1; k > i; --k) b(i) -= L_(k, i) * b(k);  // the one that is known last at the end
     return b;
   }
 

@@ -326,7 +326,7 @@ struct FuzzyStage {
   [[gnu::always_inline]] inline RegisterOf<S> output(std::size_t r, const Terms<RegisterOf<S>>& error,
                                                      const Terms<RegisterOf<S>>& error_rate) const {
     using R = RegisterOf<S>;
-    R total(0.0);
+    R total(0.0), others(0.0);  // of the first columns, and of the last ones: neither waits for the other
 #pragma GCC unroll 7
     for (std::size_t column = 0; column < kTerms; ++column) {
       const auto weight = [&](std::size_t row) {
@@ -335,8 +335,12 @@ struct FuzzyStage {
       R sum = error[0] * weight(0);
 #pragma GCC unroll 7
       for (std::size_t row = 1; row < kTerms; ++row) sum += error[row] * weight(row);
-      total += sum * error_rate[column];
+      if (column < kTerms / 2)
+        total += sum * error_rate[column];
+      else
+        others += sum * error_rate[column];
     }
+    total += others;
     if (rate != nullptr) {
       // in this order, no product is larger than two sums of memberships
       const R reach = R(scale) * rate->strength.part[r] * inner(error, rate->basis.error, r);

@@ -29,7 +29,7 @@ struct Mount {
 
   template <class V, class... Self>
   static void visit(V&& v, Self&... self) {
-    v(Field{"position", "m"}.entrywise(), self.position...);
+    v(Field{"position", "m", kCoordinate}.entrywise(), self.position...);
     v(Field{"rotation", "rad"}.entrywise(), self.rotation...);
   }
 };

@@ -47,12 +47,29 @@ inline constexpr Bound kNotNegative = {.least = 0.0};
 inline constexpr Bound kPositiveOrNone = {.least = 0.0, .above = true, .none = std::numeric_limits<double>::infinity()};
 inline constexpr Bound kPositiveOrZero = {.least = 0.0, .above = true, .none = 0.0};
 inline constexpr Bound kRelativeError = {.least = -1.0, .most = 1.0, .above = true, .below = true};
+
+inline constexpr double kFullTurn = 6.283185307179586;  ///< 2 pi
 /// An angle [rad]; larger ones are probably degrees.
-inline constexpr Bound kAngle = {.least = -6.283185307179586, .most = 6.283185307179586};
+inline constexpr Bound kAngle = {.least = -kFullTurn, .most = kFullTurn};
+/// Longest rotation vector of a pose of six numbers [rad], likewise.
+inline constexpr double kLongestTurn = kFullTurn * (1.0 + 1e-12);
 /// An angle between two directions [rad].
 inline constexpr Bound kTilt = {.least = 0.0, .most = 3.141592653589793, .above = true};
 inline constexpr Bound kSign = {.least = -1.0, .most = 1.0};
 inline constexpr Bound kProbability = {.least = 0.0, .most = 1.0};
+
+// What no machine comes near, of nanometres or of 100 t. Far beyond it kernels, whose sums round differently, end a run
+// differently.
+inline constexpr double kMostLength = 1e6;    ///< [m]
+inline constexpr double kMostMass = 1e9;      ///< [kg]
+inline constexpr double kMostInertia = 1e12;  ///< [kg m^2]
+/// Of a machine [m]; of its travel and of cranks, which may be angles [rad], too.
+inline constexpr Bound kLength = {.least = 0.0, .most = kMostLength, .above = true, .below = true};
+inline constexpr Bound kLengthOrZero = {.least = 0.0, .most = kMostLength, .above = true, .below = true, .none = 0.0};
+inline constexpr Bound kCoordinate = {.least = -kMostLength, .most = kMostLength, .above = true, .below = true};
+inline constexpr Bound kMass = {.least = 0.0, .most = kMostMass, .above = true, .below = true};
+inline constexpr Bound kMassOrZero = {.least = 0.0, .most = kMostMass, .below = true};
+inline constexpr Bound kInertia = {.least = -kMostInertia, .most = kMostInertia, .above = true, .below = true};
 
 /// What a key of a batch changes besides the numbers of one lane.
 enum class Reach {

@@ -80,7 +80,8 @@ class PositionedLeg {
     free_energy_ = min(square(speed_), of_acceleration);
   }
 
-  const S& speed_limit() const noexcept { return speed_; }  ///< [m/s], or [rad/s]
+  /// The rate of a leg at the start, which its speed limit bounds too [m/s], or [rad/s].
+  S first_rate(const S& rate) const noexcept { return clip(rate, S(-speed_), speed_); }
 
   /// q-ddot [m/s^2], or [rad/s^2]. @param x q - q*; @param v q-dot
   S acceleration(const S& x, const S& v) const noexcept {
@@ -147,7 +148,7 @@ class PositionedLegs {
   /// @param positions, rates where a run starts [m; m/s], or [rad; rad/s]
   PositionedLegs(const ActuatorParameters<S>& p, double step, const Vector6<S>& positions, const Vector6<S>& rates)
       : commands_(p.delay, positions), leg_(p.position, p.leg_steps, step), positions_(positions), rates_(rates) {
-    for (int i = 0; i < 6; ++i) rates_(i) = clip(rates_(i), S(-leg_.speed_limit()), leg_.speed_limit());
+    for (int i = 0; i < 6; ++i) rates_(i) = leg_.first_rate(rates_(i));
   }
 
   /// A tick: takes over where the legs shall go.

@@ -400,7 +400,7 @@ template <class S>
 
   // (1 - delta_C) o ([omega]x I') omega, column by column, taken from the moment
   Matrix3<S> actual_inertia;
-  Vector3<S> moment(wrench(3) - plant.weight(3), wrench(4) - plant.weight(4), wrench(5) - plant.weight(5));
+  Vector3<S> rest(-plant.weight(3), -plant.weight(4), -plant.weight(5));
 #pragma GCC unroll 3
   for (int j = 0; j < 3; ++j) {
     const Vector3<S> inertia(I_B(0, j), I_B(1, j), I_B(2, j));
@@ -408,9 +408,10 @@ template <class S>
 #pragma GCC unroll 3
     for (int i = 0; i < 3; ++i) {
       actual_inertia(i, j) = plant.inertia_share(i, j) * inertia(i);
-      moment(i) -= plant.coriolis_share(i, j) * coriolis(i) * omega(j);
+      rest(i) -= plant.coriolis_share(i, j) * coriolis(i) * omega(j);
     }
   }
+  const Vector3<S> moment(wrench(3) + rest(0), wrench(4) + rest(1), wrench(5) + rest(2));
   const Vector3<S> angular = solve3<S>(actual_inertia, moment);
   return SideBySide<S, 6>::of(
       (wrench(0) - plant.weight(0)) * plant.inverse_mass(0), (wrench(1) - plant.weight(1)) * plant.inverse_mass(1),

@@ -155,6 +155,14 @@ class SideBySide {
     return product;
   }
 
+  /// Sum of the registers; its lanes' sum is that of the numbers where places beyond them hold zeros.
+  Register lane_total() const {
+    Register total = part[0];
+#pragma GCC unroll 6
+    for (std::size_t r = 1; r < registers; ++r) total += part[r];
+    return total;
+  }
+
   std::array<Register, registers> part;
 
  private:
@@ -234,6 +242,15 @@ SideBySide<Lanes<W>, K> select(LaneMask<W> condition, const SideBySide<Lanes<W>,
   return out;
 }
 
+/// Each entry in all lanes of a register.
+template <class R, class S, int rows, int columns>
+Eigen::Matrix<R, rows, columns> broadcast(const Eigen::Matrix<S, rows, columns>& m) {
+  Eigen::Matrix<R, rows, columns> registers;
+#pragma GCC unroll 9
+  for (int i = 0; i < rows * columns; ++i) registers(i) = R(m(i));
+  return registers;
+}
+
 /// K vectors of three, side by side: a register for each coordinate.
 template <class S, int K>
 struct Vectors3 {
@@ -247,12 +264,14 @@ struct Vectors3 {
 
   Eigen::Matrix<S, 3, K> matrix() const {
     Eigen::Matrix<S, 3, K> columns;
-    for (int k = 0; k < K; ++k) columns.col(k) = Vector3<S>(x(k), y(k), z(k));
+    for (int k = 0; k < K; ++k) columns.col(k) = column(k);
     return columns;
   }
 
   using Register = typename SideBySide<S, K>::Register;
   static constexpr std::size_t registers = SideBySide<S, K>::registers;
+
+  Vector3<S> column(int k) const { return Vector3<S>(x(k), y(k), z(k)); }
 
   /// One vector for each number of a register.
   Vector3<Register> part(std::size_t r) const { return Vector3<Register>(x.part[r], y.part[r], z.part[r]); }
@@ -262,6 +281,40 @@ struct Vectors3 {
     z.part[r] = v(2);
   }
 };
+
+/// R v of each of K vectors.
+template <class S, int K>
+[[gnu::always_inline]] inline Vectors3<S, K> rotate(const Matrix3<S>& R, const Vectors3<S, K>& v) {
+  using Register = typename Vectors3<S, K>::Register;
+  const Matrix3<Register> turn = broadcast<Register>(R);
+  Vectors3<S, K> rotated;
+  for (std::size_t r = 0; r < Vectors3<S, K>::registers; ++r) rotated.set_part(r, rotate<Register>(turn, v.part(r)));
+  return rotated;
+}
+
+/// Two vectors of three, one after the other: (x1, y1, z1, x2, y2, z2).
+template <class S>
+[[gnu::always_inline]] inline SideBySide<S, 6> stacked(const Vectors3<S, 2>& v) {
+  SideBySide<S, 6> six;
+  if constexpr (SideBySide<S, 2>::per_register == 1) {
+    six.part = {v.x(0), v.y(0), v.z(0), v.x(1), v.y(1), v.z(1)};
+  } else {
+    const Lanes<2> x = v.x.part[0], y = v.y.part[0], z = v.z.part[0];
+    const Lanes<2> first = detail::shuffle<0, 2>(x, y), middle = detail::shuffle<0, 3>(z, x),
+                   last = detail::shuffle<1, 3>(y, z);
+    if constexpr (SideBySide<S, 6>::per_register == 2) {
+      six.part = {first, middle, last};
+    } else {
+      const Lanes<4> four = detail::shuffle<0, 1, 2, 3>(first, middle),
+                     rest = detail::shuffle<0, 1, 2, 3>(last, Lanes<2>(0.0));
+      if constexpr (SideBySide<S, 6>::per_register == 4)
+        six.part = {four, rest};
+      else
+        six.part = {detail::shuffle<0, 1, 2, 3, 4, 5, 6, 7>(four, rest)};
+    }
+  }
+  return six;
+}
 
 /// K pairs (x, y), side by side; in a vector they alternate: (x1, y1, x2, y2, ...).
 template <class S, int K>
@@ -315,24 +368,32 @@ struct Pairs {
   Pairs(const SideBySide<S, K>& x_, const SideBySide<S, K>& y_) : x(x_), y(y_) {}
 };
 
-/// Each entry in all lanes of a register.
-template <class R, class S, int rows, int columns>
-Eigen::Matrix<R, rows, columns> broadcast(const Eigen::Matrix<S, rows, columns>& m) {
-  Eigen::Matrix<R, rows, columns> registers;
-#pragma GCC unroll 9
-  for (int i = 0; i < rows * columns; ++i) registers(i) = R(m(i));
-  return registers;
-}
-
 /// Sums over the lanes of two registers of numbers S.
 template <class S, class R>
-std::array<S, 2> lane_sums(const R& a, const R& b) {
-  if constexpr (std::is_same_v<S, R>) {
-    return {a, b};
-  } else {
-    const Lanes<2> sums = lane_sums(a, b);
-    return {sums[0], sums[1]};
-  }
+SideBySide<S, 2> lane_sums(const R& a, const R& b) {
+  SideBySide<S, 2> sums;
+  if constexpr (std::is_same_v<S, R>)
+    sums.part = {a, b};
+  else
+    sums.part = {lane_sums(a, b)};
+  return sums;
+}
+
+/// Lower triangle of a symmetric matrix of lane sums, and zeros.
+/// @param entry (row, column) -> register whose lanes are summed; two at a time
+template <class S, class Entry>
+[[gnu::always_inline]] inline Matrix6<S> lower_lane_sums(const Entry& entry) {
+  Matrix6<S> sums = Matrix6<S>::Zero();
+#pragma GCC unroll 6
+  for (int j = 0; j < 6; ++j)
+#pragma GCC unroll 6
+    for (int i = j; i < 6; i += 2) {
+      const int next = i + 1 < 6 ? i + 1 : i;
+      const SideBySide<S, 2> two = lane_sums<S>(entry(i, j), entry(next, j));
+      sums(i, j) = two(0);
+      sums(next, j) = two(1);
+    }
+  return sums;
 }
 
 /// a . b and c . d; places beyond the numbers must hold zeros in a and c, or in b and d, and finite numbers in the
@@ -346,7 +407,8 @@ std::array<S, 2> dots(const SideBySide<S, K>& a, const SideBySide<S, K>& b, cons
     first += a.part[r] * b.part[r];
     second += c.part[r] * d.part[r];
   }
-  return lane_sums<S>(first, second);
+  const SideBySide<S, 2> sums = lane_sums<S>(first, second);
+  return {sums(0), sums(1)};
 }
 
 }  // namespace hexservo

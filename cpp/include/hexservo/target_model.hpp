@@ -131,11 +131,11 @@ struct PoseFit {
 /// The fit of one pose; NaN where a number is.
 template <class S, int N>
 PoseFit<S, N> pose_fit(const CameraView<S>& camera, const Vectors3<S, N>& points_T, const Vector<S, 2 * N>& measured,
-                       const PosePrior<S>& prior, const Pose<S>& pose,
+                       const PosePrior<S>& prior, const Pose<S>& pose, const Matrix3<S>& R_BE,
                        const PointWeights<S, N>& weights = {}) noexcept {
   PoseFit<S, N> fit;
   fit.pose = pose;
-  fit.R_BE = rotation_matrix(pose.quaternion);
+  fit.R_BE = R_BE;
   Image<S, N> image;
   take_image<S, N>(camera, pose.position, fit.R_BE, points_T, image, fit.inverse_depth);
   S nearest = image.depth(0);
@@ -147,6 +147,13 @@ PoseFit<S, N> pose_fit(const CameraView<S>& camera, const Vectors3<S, N>& points
   fit.prior_error = prior.error(pose);
   fit.cost = fit.squared_residual + fit.prior_error.dot(prior.weight.cwiseProduct(fit.prior_error));
   return fit;
+}
+
+template <class S, int N>
+PoseFit<S, N> pose_fit(const CameraView<S>& camera, const Vectors3<S, N>& points_T, const Vector<S, 2 * N>& measured,
+                       const PosePrior<S>& prior, const Pose<S>& pose,
+                       const PointWeights<S, N>& weights = {}) noexcept {
+  return pose_fit<S, N>(camera, points_T, measured, prior, pose, rotation_matrix(pose.quaternion), weights);
 }
 
 /// A pose beside another one, and back: the difference number by number.
@@ -186,22 +193,27 @@ S quartic_line_search(const Vector<S, M>& r, const Vector<S, M>& Jd, const Vecto
 template <class S, int N>
 Matrix6<S> feature_curvature(const CameraView<S>& camera, const PoseFit<S, N>& fit,
                              const Vector<S, 2 * N>& r) noexcept {
-  const S& f = camera.f;
+  using R = typename PointVector<S, N>::Register;
+  const R f(camera.f);
   const bool on_base = camera.on_base();
-  const Matrix3<S> R_BC = camera.attitude_in_base(fit.R_BE);
-  const Vector3<S> axis = R_BC.col(2), arm = camera.centre_in_base(fit.pose.position, fit.R_BE) - fit.pose.position;
-  Matrix6<S> sum = Matrix6<S>::Zero();
-  for (int i = 0; i < N; ++i) {
-    const S x = fit.features(2 * i), y = fit.features(2 * i + 1), rx = r(2 * i), ry = r(2 * i + 1);
-    const S inverse_depth = fit.inverse_depth(i);
-    const Vector3<S> g_C(S(-f * rx * inverse_depth), S(-f * ry * inverse_depth), S(-(x * rx + y * ry) * inverse_depth));
-    const Vector3<S> g = rotate<S>(R_BC, g_C);
-    const Vector3<S> w = arm + rotate<S>(R_BC, back_project<S>(f, Vector2<S>(x, y), S(S(1.0) / inverse_depth)));
-    Vector6<S> a, b;
+  const Matrix3<S> attitude = camera.attitude_in_base(fit.R_BE);
+  const Vector3<S> centre = camera.centre_in_base(fit.pose.position, fit.R_BE);
+  const Matrix3<R> R_BC = broadcast<R>(attitude);
+  const Vector3<R> axis = R_BC.col(2), arm = broadcast<R>(Vector3<S>(centre - fit.pose.position));
+  const Pairs<S, N> features(fit.features), weights(r);
+  const auto inverse_depths = PointVector<S, N>::load(fit.inverse_depth.data());
+  Matrix6<R> sum = Matrix6<R>::Zero();
+  for (std::size_t part = 0; part < PointVector<S, N>::registers; ++part) {
+    const R x = features.x.part[part], y = features.y.part[part], rx = weights.x.part[part], ry = weights.y.part[part];
+    const R inverse_depth = inverse_depths.part[part];
+    const Vector3<R> g_C(R(-f * rx * inverse_depth), R(-f * ry * inverse_depth), R(-(x * rx + y * ry) * inverse_depth));
+    const Vector3<R> g = rotate<R>(R_BC, g_C);
+    const Vector3<R> w = arm + rotate<R>(R_BC, back_project<R>(f, Vector2<R>(x, y), R(R(1.0) / inverse_depth)));
+    Vector6<R> a, b;
     a.template head<3>() = -g;
-    a.template tail<3>() = cross<S>(g, w);
+    a.template tail<3>() = cross<R>(g, w);
     b.template head<3>() = -inverse_depth * axis;
-    b.template tail<3>() = inverse_depth * cross<S>(axis, w);
+    b.template tail<3>() = inverse_depth * cross<R>(axis, w);
 #pragma GCC unroll 6
     for (int column = 0; column < 6; ++column)
 #pragma GCC unroll 6
@@ -214,14 +226,16 @@ Matrix6<S> feature_curvature(const CameraView<S>& camera, const PoseFit<S, N>& f
       sum(3, 2) -= g(1);
       sum(4, 2) += g(0);
     }
-    const S along = dot<S>(g, w);
+    const R along = dot<R>(g, w);
+#pragma GCC unroll 3
     for (int column = 0; column < 3; ++column) {
+#pragma GCC unroll 3
       for (int row = column; row < 3; ++row)
-        sum(3 + row, 3 + column) += S(0.5) * (g(row) * w(column) + w(row) * g(column));
+        sum(3 + row, 3 + column) += R(0.5) * (g(row) * w(column) + w(row) * g(column));
       sum(3 + column, 3 + column) -= along;
     }
   }
-  return sum;
+  return lower_lane_sums<S>([&sum](int row, int column) { return sum(row, column); });
 }
 
 /// When a fit of a pose ends, beside its largest number of rounds.
@@ -618,7 +632,9 @@ SettledFit<S, N> settle_pose(const CameraView<S>& camera, const Vectors3<S, N>& 
                              const PointWeights<S, N>& weights = {}) noexcept {
   constexpr double kLast = kSettledFit * kSettledFit, kFar = kNearStart * kNearStart;
   SettledFit<S, N> out;
-  out.fit = pose_fit<S, N>(camera, points_T, measured, prior, unit_pose(start), weights);
+  // The attitude does not wait for the length of the quaternion.
+  out.fit =
+      pose_fit<S, N>(camera, points_T, measured, prior, unit_pose(start), rotation_matrix(start.quaternion), weights);
   out.pose = out.fit.pose;
   out.settled = Mask<S>(false);
   Mask<S> going(true);
@@ -696,7 +712,12 @@ Pose<S> estimate_pose_near(const CameraView<S>& camera, const Eigen::Matrix<S, 3
     near = near & (one | !detail::is_mirrored<S, N>(camera, points_T, features, prior, rough.fit, weights));
   Pose<S> pose = rough.pose;
   if (any(near)) {
-    prior.weight *= prior_share(unexplained_variance<S, N>(camera, rough.fit, features, rough.information, weights));
+    // A branch, which a processor predicts, so that the fit does not wait for the variance.
+    const S share = prior_share(unexplained_variance<S, N>(camera, rough.fit, features, rough.information, weights));
+    if (all(share <= S(kLeastPrior))) [[likely]]
+      prior.weight *= S(kLeastPrior);
+    else
+      prior.weight *= share;
     const SettledFit<S, N> found =
         settle_pose<false, S, N>(camera, points, features, prior, beside<S>(prior.pose, memory.found), weights);
     near = near & found.settled;

@@ -250,15 +250,15 @@ def check(
     """Check a scenario.
 
     Every error is a line on standard error, and the exit code is 2; without errors it is 0. Warnings are about legal
-    but probably unintended settings, such as a weight beyond the force limit; notes list keys without effect.
+    but probably unintended settings, such as a weight beyond the force limit; notes list keys without effect, and
+    state what the prior of a law leaves of the pose.
     """
     with errors_as_messages():
-        from hexservo.findings.check import unlikely
-        from hexservo.findings.check_keys import keys_without_effect
+        from hexservo.findings.check import notes, unlikely
 
         chosen = load(scenario, settings or [], camera)
         complain(*unlikely(chosen), head="Warning")
-        complain(*keys_without_effect(chosen), head="Note")
+        complain(*notes(chosen), head="Note")
         simulation = chosen.simulation
         name = "standard input" if scenario == "-" else scenario
         write(

@@ -13,8 +13,6 @@ from hexservo.scenario.parameters import Settings, core_settings
 from hexservo.scenario.yaml import ScenarioError
 
 _UNASKED = {"mass": 1.0, "inertia": [1.0, 1.0, 1.0], "stroke": 1.0, "force_limit": 1.0}  # keys that a robot must have
-# Joints that are mirrored or shifted by a leg are singular, but for the digits that they are typed with.
-_NEARLY_SINGULAR = 1e-5
 _CORNERS = np.array([[-1.0, 1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]])
 
 
@@ -24,21 +22,12 @@ def require_hold(robot: dict[str, Any]) -> None:
     Raises
     ------
     ScenarioError
-        With what the core expects of joints and home, or of joints whose order is that of no machine.
+        With what the core expects of joints and home.
     """
     try:
-        hexapod = _core.Hexapod(_settings(robot=Robot(**{**_UNASKED, **robot})).robot)
+        _core.Hexapod(_settings(robot=Robot(**{**_UNASKED, **robot})).robot)
     except ValueError as error:  # "robot.home_position: expected ..., got ..."
         raise ScenarioError([f"joints and home: {str(error).partition(': ')[2]}"]) from None
-    values = hexapod.singular_values(hexapod.home_position, hexapod.home_quaternion)
-    if values[-1] < _NEARLY_SINGULAR * values[0]:
-        raise ScenarioError(
-            [
-                "joints and home: expected legs that hold the platform in all six directions, got a wrench map that "
-                f"is singular at home but for rounding (smallest/largest singular value {values[-1] / values[0]:.1g}): "
-                "give the joints of platform and base in the order of the legs, both counted the same way round"
-            ]
-        )
 
 
 def problem_of_image(camera: dict[str, Any]) -> str | None:

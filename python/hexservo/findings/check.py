@@ -16,13 +16,15 @@ from hexservo.findings.analysis.reach import reach_of_start_and_goal
 from hexservo.findings.analysis.scene import Scene, scene_of
 from hexservo.findings.check_gains import of_gains
 from hexservo.findings.check_gate import of_gate
-from hexservo.findings.check_keys import has_slope
+from hexservo.findings.check_joints import of_joints
+from hexservo.findings.check_keys import has_slope, keys_without_effect
 from hexservo.findings.check_machine import of_machine
 from hexservo.findings.check_motion import of_motion
 from hexservo.findings.check_period import of_period
 from hexservo.findings.check_points import of_points
 from hexservo.findings.check_target import of_target
 from hexservo.findings.check_tracking import of_tracking
+from hexservo.findings.prior import of_prior
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.keys import value_at
@@ -46,8 +48,9 @@ def unlikely(scenario: Scenario, *, by_law: bool = True) -> list[str]:
     an unknown latency, the gate with the target's motion (`of_gate`), the way of a target with reach, image and frames
     (`of_target`), the machine with what is built (`of_machine`), and in sampled mode the servo period with the loop of
     the gains, linearised at home with the switching term as in `linear_law`; gains with duration, servo rate, delays,
-    forces and noise (`of_gains`); the filter of `tracking` with the target's motion (`of_tracking`). Gains with which
-    numbers of that loop overflow have a sentence that names it.
+    forces and noise (`of_gains`); the filter of `tracking` with the target's motion (`of_tracking`), what encoders read
+    with the image and the fuzzy inputs (`of_joints`). Gains with which numbers of that loop overflow have a sentence
+    that names it.
     Does not simulate.
 
     Parameters
@@ -65,7 +68,16 @@ def unlikely(scenario: Scenario, *, by_law: bool = True) -> list[str]:
         sentences += _evaluated(check, scene)
     for of_scenario in (_of_image, _of_principal_point, _of_duration, _of_dropout, of_motion, _of_unknown_latency):
         sentences += _evaluated(of_scenario, scenario)
-    return sentences + (_evaluated(_of_rates, scene) + _evaluated(of_tracking, scene) if by_law else [])
+    return sentences + (
+        [sentence for of_law in (_of_rates, of_tracking, of_joints) for sentence in _evaluated(of_law, scene)]
+        if by_law
+        else []
+    )
+
+
+def notes(scenario: Scenario) -> list[str]:
+    """Return a sentence for each key without effect, and one on what a prior leaves of the pose (`of_prior`)."""
+    return keys_without_effect(scenario) + _evaluated(of_prior, scene_of(scenario))
 
 
 def _evaluated(check: Callable[[_T], Iterator[str]], of: _T) -> list[str]:

@@ -11,7 +11,7 @@ from hexservo import _core
 from hexservo.findings.analysis.goal import SHOWN
 from hexservo.findings.analysis.rest import Rest
 from hexservo.findings.analysis.scene import Scene
-from hexservo.findings.prior import left_by_inverse, weight_of_inverse
+from hexservo.findings.prior import key_of_inverse, left_by_inverse, weight_of_inverse
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.fitted import UPTAKE, Machine, auto_of
@@ -131,7 +131,7 @@ def noise_at_rest(scene: Scene) -> Noise:
     traits, noise = _core.LAW_TRAITS[scenario.controller.law], feature_noise(scenario.camera)
     if scenario.simulation.mode != SAMPLED_MODE or noise == 0.0:
         return Noise(0.0, 0.0)
-    key = traits.inverse or ("prior" if traits.prior else "")
+    key = key_of_inverse(scene)
     if not (traits.pose_error and key and "damping" in traits.parts):
         return Noise(math.nan, math.nan)
     root = np.sqrt(machine.inertia)

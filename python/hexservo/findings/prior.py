@@ -1,8 +1,12 @@
-"""What an inverse of the image Jacobian with a prior, or a damping, leaves out of the pose error, to first order."""
+"""What an inverse of the image Jacobian with a prior, or a damping, makes of the pose error, to first order.
+
+What it leaves out of it, and what noise of the image it adds.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -11,6 +15,16 @@ from hexservo.findings.analysis.scene import Scene
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.fitted import Machine
 from hexservo.scenario.keys import value_at
+from hexservo.scenario.wording import number, quantity
+
+_LEFT = 0.05  # share of the way to the goal pose that a prior may leave without a sentence
+_NO_PART = 1e-4  # of a displacement, which a shift or a rotation that is left out has at most
+
+
+def key_of_inverse(scene: Scene) -> str:
+    """Return the key of M in the law's block; empty where its inverse has none, or it inverts nothing."""
+    traits = scene.scenario.controller.traits
+    return traits.inverse or ("prior" if traits.prior else "")
 
 
 def weight_of_inverse(scene: Scene, key: str) -> Array:
@@ -50,3 +64,54 @@ def share_of_prior(scene: Scene, machine: Machine) -> float:
 def largest_share(part: Array, whole: Array) -> float:
     """Return the largest magnitude of a part over that of the whole."""
     return float(np.abs(part).max() / max(float(np.abs(whole).max()), 1e-300))
+
+
+def legs_of_noise(scene: Scene) -> Array:
+    """Return the standard deviation of the legs at the pose that the law estimates from one image, (6,) [m/px].
+
+    Of 1 px of noise n in each coordinate at the start: the legs of (J^T W J + M)^-1 J^T W n, with all of M. Of rotary
+    legs [rad/px]. Zero for a law that estimates no pose; NaN where the image gives none.
+    """
+    gains, key = scene.scenario.controller.gains, key_of_inverse(scene)
+    inverts = key or scene.scenario.controller.traits.points
+    if not inverts or getattr(gains, "follow", "pose") != "pose":
+        return np.zeros(6)
+    view = scene.view(scene.start)
+    units = np.repeat([1.0, view.mean_depth], 3)  # columns of one size
+    jacobian = scene.of_noise(view.features, view.jacobian) / units
+    weight = np.diag(weight_of_inverse(scene, key) / units**2) if key else np.zeros((6, 6))
+    try:
+        estimate = np.linalg.solve(jacobian.T @ jacobian + weight, jacobian.T)
+    except np.linalg.LinAlgError:
+        return np.full(6, np.nan)
+    return np.asarray(np.linalg.norm((scene.wrench_maps(scene.start).T / units) @ estimate, axis=1))
+
+
+def of_prior(scene: Scene) -> Iterator[str]:
+    """Yield a sentence on the pose where the image and a prior's pull towards home balance, off that of the goal.
+
+    By the distance that the platform's joints move, from a twentieth of the way from home on.
+    """
+    law, traits = scene.scenario.controller.law, scene.scenario.controller.traits
+    if not (traits.prior and traits.inverse and scene.has_points) or scene.moving_target:
+        return
+    machine = scene.machine
+    left = left_by_inverse(scene, machine)
+    levers = np.repeat([1.0, scene.platform_radius], 3)
+    if not np.linalg.norm(levers * left) > _LEFT * np.linalg.norm(levers * machine.displacement):  # NaN: no goal pose
+        return
+    pixels = float(np.abs(machine.jacobian @ left)[machine.weights > 0.0].max())
+    yield (
+        f"controller.{law}.prior: its pull towards home and the image balance {_in_words(left, scene)} from the goal "
+        f"pose, which is {_in_words(machine.displacement, scene)} from home, with {number(pixels, 2)} px of image "
+        "error: there the platform rests, but for model errors; a larger or nearer target, or a smaller prior where "
+        "noise allows it, leaves less"
+    )
+
+
+def _in_words(displacement: Array, scene: Scene) -> str:
+    """Return the lengths of a shift and a rotation; one that does not move the platform's joints is left out."""
+    shift, turn = (float(np.linalg.norm(part)) for part in np.split(displacement, 2))
+    moved = math.hypot(shift, scene.platform_radius * turn)
+    parts = [(quantity(shift, "m"), shift), (quantity(turn, "rad"), scene.platform_radius * turn)]
+    return " and ".join(text for text, by in parts if by > _NO_PART * moved)

@@ -64,8 +64,9 @@ def robot_notes(scenario: Scenario) -> list[str]:
         )
     elif scenario.camera.timeout is None:
         notes.append("the last image is used for ever if no other comes: set camera.timeout for a robot")
-    used = {key.name for key in tick_keys(core_parameters(scenario))}
-    if not scenario.controller.needs_goal:  # the depths are measured
+    settings = core_parameters(scenario)
+    used = {key.name for key in tick_keys(settings)}
+    if not settings.needs_goal:  # the depths are measured
         used.discard("uncertainty.depth")
     assumed = (key for key in (f"uncertainty.{name}" for name in _ASSUMED) if key in used)
     wrong = [key for key in assumed if np.any(np.asarray(value_at(scenario, key), float) != 0.0)]

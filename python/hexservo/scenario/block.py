@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
+from hexservo import _core
 from hexservo.scenario.rules import HalfTurn, Number
 
 if TYPE_CHECKING:
@@ -17,6 +18,9 @@ POSITIVE = Number(above=0)
 NOT_NEGATIVE = Number(at_least=0)
 RELATIVE_ERROR = Number(above=-1, below=1)
 PROBABILITY = Number(at_least=0, at_most=1)
+MASS = Number(above=0, below=_core.MOST_MASS)  # [kg]
+LENGTH = Number(above=0, below=_core.MOST_LENGTH)  # [m], of a machine
+COORDINATE = Number(above=-_core.MOST_LENGTH, below=_core.MOST_LENGTH)  # [m], likewise
 HALF_TURN = HalfTurn()  # [rad], an angle between two directions
 
 PositiveNumber = Annotated[float, POSITIVE]

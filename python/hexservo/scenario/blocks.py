@@ -13,7 +13,10 @@ from pydantic import Field, ModelWrapValidatorHandler, ValidationError, model_va
 
 from hexservo import _core
 from hexservo.scenario.block import (
+    COORDINATE,
     HALF_TURN,
+    LENGTH,
+    MASS,
     NOT_NEGATIVE,
     POSITIVE,
     PROBABILITY,
@@ -57,6 +60,7 @@ from hexservo.scenario.rules import (
 )
 from hexservo.scenario.tag import CORNERS, Grid, GridRule, Tag, TagRule, require_counts
 
+_OPTIONAL_LENGTH = OptionalNumber(above=LENGTH.above, below=LENGTH.below)
 DEFAULT_PRESET = "micro"
 _FOCAL_KEYS = ("focal_length", "pixel_scale")
 SIDES = ("platform", "base")
@@ -66,8 +70,8 @@ DEFAULT_DEPTH = float(core_default("target.depth"))  # [m], docs/model.md sectio
 class Payload(Block):
     """A body fixed to the platform: the plant has it, and the controller where it is known; docs/model.md section 3."""
 
-    mass: NumberNotNegative = 0.0  # [kg]; 0: no payload
-    position: Annotated[Vector, ArrayRule((3,))] = (0.0, 0.0, 0.0)  # (3,) [m], of its centre of mass in E
+    mass: Annotated[float, Number(at_least=0, below=_core.MOST_MASS)] = 0.0  # [kg]; 0: no payload
+    position: Annotated[Vector, ArrayRule((3,), COORDINATE)] = (0.0, 0.0, 0.0)  # (3,) [m], of its centre of mass in E
     # (3,) diagonal or (3, 3) [kg m^2], about its centre of mass, in E
     inertia: Annotated[Vector | Matrix, Inertia()] = (0.0, 0.0, 0.0)
     known: Annotated[bool, Flag()] = True  # to the controller
@@ -76,8 +80,8 @@ class Payload(Block):
 class Cranks(Block):
     """Cranks of rotary legs, whose centres are the base joints; docs/model.md section 2. All null: prismatic legs."""
 
-    length: Annotated[float | None, OptionalNumber(above=0)] = None  # [m], from the centre to the rod
-    rod: Annotated[float | None, OptionalNumber(above=0)] = None  # [m], length of the rods
+    length: Annotated[float | None, _OPTIONAL_LENGTH] = None  # [m], from the centre to the rod
+    rod: Annotated[float | None, _OPTIONAL_LENGTH] = None  # [m], length of the rods
     axes: Annotated[Matrix | None, ArrayRule((6, 3), or_null=True)] = None  # (6, 3), of rotation, unit vectors in B
     zero: Annotated[Matrix | None, ArrayRule((6, 3), or_null=True)] = None  # (6, 3), direction at angle 0, likewise
     # (6,), 1 or -1: which of the two angles that a pose has
@@ -111,26 +115,28 @@ class Robot(Block):
     """
 
     preset: Annotated[str | None, Choice(ROBOT_PRESETS, or_null=True)] = None  # a machine, for keys that are not given
-    platform_radius: Annotated[float | None, OptionalNumber(above=0)]  # [m], circle of the platform joints about E
-    base_radius: Annotated[float | None, OptionalNumber(above=0)]  # [m], circle of the base joints about B
+    platform_radius: Annotated[float | None, _OPTIONAL_LENGTH]  # [m], circle of the platform joints about E
+    base_radius: Annotated[float | None, _OPTIONAL_LENGTH]  # [m], circle of the base joints about B
     platform_angles: Annotated[Vector | None, ArrayRule((6,), Angle(), or_null=True)]  # (6,) [rad], on the circle, in E
     base_angles: Annotated[Vector | None, ArrayRule((6,), Angle(), or_null=True)]  # (6,) [rad], on the circle, in B
-    platform_joints: Annotated[Matrix | None, ArrayRule((6, 3), or_null=True)] = None  # (6, 3) [m], in E; no circle
-    base_joints: Annotated[Matrix | None, ArrayRule((6, 3), or_null=True)] = None  # (6, 3) [m], in B; no circle
-    home_position: Annotated[Vector, ArrayRule((3,))]  # (3,) [m], of E's origin in B; z points down
+    # (6, 3) [m], in E; no circle
+    platform_joints: Annotated[Matrix | None, ArrayRule((6, 3), COORDINATE, or_null=True)] = None
+    # (6, 3) [m], in B; no circle
+    base_joints: Annotated[Matrix | None, ArrayRule((6, 3), COORDINATE, or_null=True)] = None
+    home_position: Annotated[Vector, ArrayRule((3,), COORDINATE)]  # (3,) [m], of E's origin in B; z points down
     home_attitude: Annotated[Vector, ArrayRule((3,), Angle())] = (0.0, 0.0, 0.0)  # (3,) [rad], rotation vector, in B
     # prismatic: leg lengths are driven; rotary: cranks with rods; then coordinates of the legs are angles [rad] and
     # efforts torques [N m], here, in sensors and in actuators
     legs: Annotated[Literal["prismatic", "rotary"], Choice()] = "prismatic"
     cranks: Cranks = Field(default_factory=Cranks)
     gravity: Annotated[Vector, GravityRule()] = from_core("robot.gravity")  # (3,) [m/s^2], in B; a number: along +z
-    mass: PositiveNumber  # [kg], of the platform
+    mass: Annotated[float, MASS]  # [kg], of the platform
     inertia: Annotated[Vector | Matrix, Inertia()]  # (3,) diagonal or (3, 3) [kg m^2], in E about its origin
-    centre_of_mass: Annotated[Vector, ArrayRule((3,))] = (0.0, 0.0, 0.0)  # (3,) [m], of the platform, in E
+    centre_of_mass: Annotated[Vector, ArrayRule((3,), COORDINATE)] = (0.0, 0.0, 0.0)  # (3,) [m], of the platform, in E
     payload: Payload = Field(default_factory=Payload)
     # [m] or [rad], each leg's travel either way from its middle; [shortest, longest], from home, is read as both
-    stroke: PositiveNumber
-    stroke_centre: Annotated[float, Number()] = 0.0  # [m] or [rad], middle of the travel, from the home length
+    stroke: Annotated[float, LENGTH]
+    stroke_centre: Annotated[float, COORDINATE] = 0.0  # [m] or [rad], middle of the travel, from the home length
     force_limit: PositiveNumber  # [N] or [N m], magnitude of each leg's effort
     # [m/s] or [rad/s], magnitude of each leg's rate
     speed_limit: Annotated[float | None, OptionalNumber(above=0)] = None
@@ -191,7 +197,7 @@ class Mount(Block):
     The rotation vector of an error turns the true C into the controller's, about the axes of C.
     """
 
-    position: Annotated[Vector, ArrayRule((3,))] = (0.0, 0.0, 0.0)  # (3,) [m], of C's origin in E or B
+    position: Annotated[Vector, ArrayRule((3,), COORDINATE)] = (0.0, 0.0, 0.0)  # (3,) [m], of C's origin in E or B
     rotation: Annotated[Vector, ArrayRule((3,))] = (0.0, 0.0, 0.0)  # (3,) [rad], rotation vector of C in E or B
 
 

@@ -97,7 +97,7 @@ def numeric_keys(law: str, points: int = 4) -> dict[str, NumericKey]:
             shapes = ((), rule.shape) if rule.or_number else (rule.shape,)
             keys[path] = NumericKey(shapes, rule.element, pose=isinstance(rule, PoseRule))
         elif isinstance(rule, Inertia):
-            keys[path] = NumericKey(((3,), (3, 3)), Number(), symmetric=True)
+            keys[path] = NumericKey(((3,), (3, 3)), rule.element, symmetric=True)
         elif isinstance(rule, TableRule):
             keys[path] = NumericKey(((7, 7),), Number())
     return keys

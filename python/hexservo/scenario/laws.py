@@ -284,10 +284,3 @@ class Controller(Block):
     def traits(self) -> _core.LawTraits:
         """What there is to know of the selected law without its equation."""
         return _core.LAW_TRAITS[self.law]
-
-    @property
-    def needs_goal(self) -> bool:
-        """Whether the law, with its gains, uses the assumed target points and the pose of their goal."""
-        gains = self.gains
-        measures = getattr(gains, "jacobian_at", "desired") == "current"
-        return self.traits.points and not measures and getattr(gains, "follow", "pose") == "pose"

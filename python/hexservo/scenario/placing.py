@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from hexservo import _core
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.blocks import Blocks, Target
 from hexservo.scenario.motion import BaseMotion
 from hexservo.scenario.parameters import core_settings
@@ -15,6 +17,9 @@ from hexservo.scenario.plain import plain, put
 from hexservo.scenario.recording import kinematic
 from hexservo.scenario.rules import Vector
 from hexservo.scenario.tag import corners, nodes, normal, rotation_matrix
+from hexservo.scenario.wording import number, quantity
+
+_BESIDE = math.tan(math.radians(80.0))  # of a point to the optical axis, over its depth: few lenses show more
 
 
 def read_target(scenario: Blocks) -> None:
@@ -23,9 +28,11 @@ def read_target(scenario: Blocks) -> None:
     Raises
     ------
     ValueError
-        For a tag or a grid seen from behind, and for what the core refuses of robot, camera and target.
+        For a tag or a grid seen from behind, for a target that is too large to be seen from its desired pose, and for
+        what the core refuses of robot, camera and target.
     """
     target = scenario.target
+    written = target
     if target.tag is not None:
         _require_front(scenario, "tag", target.tag[1])
         target = _replace(scenario, {"tag": None, "points": corners(target.tag)})
@@ -35,7 +42,10 @@ def read_target(scenario: Blocks) -> None:
     if target.desired_pose is not None:
         settings = core_settings(scenario)
         settings["target.desired_features"] = np.zeros(2 * target.count)  # as many as there will be
-        features = _core.project_target(settings, target.desired_pose)
+        try:
+            features = _core.project_target(settings, target.desired_pose)
+        except ValueError as error:
+            raise ValueError(_problem_of_size(scenario, written) or str(error)) from None
         _replace(scenario, {"desired_pose": None, "desired_features": features})
 
 
@@ -101,21 +111,66 @@ def problem_of_recording(held: Any, changes: Mapping[str, Any]) -> str | None:
 
 def _require_front(scenario: Blocks, kind: str, pose: Vector) -> None:
     """Refuse a tag or a grid whose back the camera has before it, at home or at the desired pose."""
-    robot, mount = scenario.robot, scenario.camera.mount
-    home = rotation_matrix(robot.home_attitude)
     places = {"home": (np.zeros(3), np.eye(3))}
     if (goal := scenario.target.desired_pose) is not None:
         places["target.desired_pose"] = (np.array(goal[:3]), rotation_matrix(goal[3:]))
     for name, (shift, turn) in places.items():
-        position, attitude = np.array(robot.home_position) + shift, turn @ home
-        camera = position + attitude @ np.array(mount.position)
-        if mount.on == "base":  # in E, as the tag
-            camera = attitude.T @ (np.array(mount.position) - position)
+        camera, _ = _camera_at(scenario, shift, turn)
         if not float(np.array(normal(pose)) @ (camera - np.array(pose[:3]))) > 0.0:
             raise ValueError(
                 f"target.{kind}.pose: expected a {kind} whose front, where its z axis points, is before the camera at "
                 f"{name}, got one with its back to it"
             )
+
+
+def _camera_at(scenario: Blocks, shift: Array, turn: Array) -> tuple[Array, Array]:
+    """Return the camera's place (3,) [m] and attitude (3, 3) where the target's points are: in B, or in E.
+
+    Of a platform that is displaced from home by a shift (3,) [m] and a rotation (3, 3).
+    """
+    robot, mount = scenario.robot, scenario.camera.mount
+    position, attitude = np.array(robot.home_position) + shift, turn @ rotation_matrix(robot.home_attitude)
+    place, looks = np.array(mount.position), rotation_matrix(mount.rotation)
+    if mount.on == "base":  # in E, as the tag
+        return attitude.T @ (place - position), attitude.T @ looks
+    return position + attitude @ place, attitude @ looks
+
+
+def _problem_of_size(scenario: Blocks, written: Target) -> str | None:
+    """Return that points which the camera has before it at home are nearly beside it: the target is too large.
+
+    None where they are not, so that it is the desired pose that turns the camera away from them.
+
+    Parameters
+    ----------
+    scenario
+        With the points of its target, if it has any.
+    written
+        The target of the file, by its tag, its grid or its points.
+    """
+    points = scenario.target.points
+    if points is None:
+        return None
+    place, looks = _camera_at(scenario, np.zeros(3), np.eye(3))
+    x, y, z = ((np.array(points) - place) @ looks).T  # a camera looks along -z
+    if not (z < 0.0).all():
+        return None
+    beside = np.hypot(x, y) / -z
+    point = int(beside.argmax())
+    if beside[point] < _BESIDE:
+        return None
+    if written.tag is not None:
+        key, got = "tag.size", f"{number(written.tag[0])} m"
+    elif written.grid is not None:
+        key, got = "grid.spacing", f"{number(written.grid[2])} m"
+    else:
+        key, got = "points", f"point {point + 1} {quantity(float(np.hypot(x, y)[point]), 'm')} off the optical axis"
+    return (
+        f"target.{key}: expected a target (lengths in m) that is before a camera "
+        f"{quantity(float(-z[point]), 'm')} away at home and at target.desired_pose, got {got}: point {point + 1} is "
+        f"seen {math.degrees(math.atan(beside[point])):.1f} deg off the optical axis at home, and from "
+        "target.desired_pose it is behind the camera"
+    )
 
 
 def _replace(scenario: Blocks, changes: dict[str, Any]) -> Target:

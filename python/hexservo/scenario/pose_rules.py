@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hexservo import _core
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.rules import ArrayRule, Rule, Vector, refusal
-
-_LONGEST = 2.0 * math.pi * (1.0 + 1e-12)  # [rad], of a rotation vector: longer ones are probably degrees
 
 
 def turns_of(poses: ArrayLike) -> Array:
@@ -24,7 +22,7 @@ def turns_of(poses: ArrayLike) -> Array:
 def problem_of_turns(poses: ArrayLike) -> str | None:
     """Return what is wrong with the longest rotation vector of poses (..., 6) [m; rad], or None."""
     longest = float(np.max(turns_of(poses), initial=0.0))
-    if longest <= _LONGEST:
+    if longest <= _core.LONGEST_TURN:
         return None
     got = f"one of {longest:.6g} (degrees? multiply by pi/180)"
     return f"expected a rotation vector at most 2 pi long (radians), got {got}"

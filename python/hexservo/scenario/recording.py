@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hexservo import _core
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.reading import path_text
 from hexservo.scenario.rotations import quaternion_of, quaternion_product
@@ -186,7 +187,7 @@ def _require_turns(lines: Sequence[int], table: _Table) -> None:
             raise _LineError(line, "expected a quaternion of unit length, got zero")
         if table.extra == _RATE and not size * table.period <= _MOST_TURN:
             raise _LineError(line, f"expected an angular rate of at most pi in a sample period, got {size:.9g} rad/s")
-        if table.extra == _ROTATION and not size <= 2 * math.pi:
+        if table.extra == _ROTATION and not size <= _core.FULL_TURN:
             raise _LineError(line, f"expected a rotation vector of at most 2 pi (radians), got one of {size:.9g}")
 
 

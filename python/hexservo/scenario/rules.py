@@ -100,8 +100,8 @@ class Number(Rule):
 class Angle(Number):
     """An angle in radians, at most 2 pi in magnitude: larger values are probably degrees."""
 
-    at_least: float | None = -2 * math.pi
-    at_most: float | None = 2 * math.pi
+    at_least: float | None = -_core.FULL_TURN
+    at_most: float | None = _core.FULL_TURN
 
     @property
     def bounds(self) -> str:
@@ -213,14 +213,15 @@ class GravityRule(ArrayRule):
 class Inertia(Rule):
     """A symmetric 3x3 matrix; its diagonal where the rest is zero."""
 
+    element = Number(above=-_core.MOST_INERTIA, below=_core.MOST_INERTIA)
     expected = "3 numbers (the diagonal) or 3x3 finite numbers (symmetric)"
 
     def accept(self, value: Any) -> Vector | Matrix:
         if not isinstance(value, list):
             self.refuse(value)
         if not any(isinstance(row, list) for row in value):
-            return cast("Vector", _tuples(value, (3,), Number().accept, self))
-        rows = cast("Matrix", _tuples(value, (3, 3), Number().accept, self))
+            return cast("Vector", _tuples(value, (3,), self.element.accept, self))
+        rows = cast("Matrix", _tuples(value, (3, 3), self.element.accept, self))
         tolerance = 1e-9 * max(abs(number) for row in rows for number in row)
         uneven = [
             ((i, j), f"expected a symmetric matrix, got {rows[i][j]!r} here and {rows[j][i]!r} at [{j}][{i}]")

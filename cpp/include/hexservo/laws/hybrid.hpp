@@ -59,7 +59,7 @@ struct Hybrid : FuzzyLaw<HybridGains> {
     }
     const AxisVector<S> others = image_wrench - fuzzy_output;
     const AxisVector<S> switched = task.switching_wrench(AxisVector<S>(constants.kv), input, others);
-    (others - switched + AxisVector<S>(task.gravity_wrench)).store(out.wrench.data());
+    ((AxisVector<S>(task.gravity_wrench) - switched) + others).store(out.wrench.data());
     task.add_weight_moment(input.R_BE, out.wrench);
     fuzzy_output.store(out.fuzzy_output.data());
     listener.part(LawPart::switching, [&] { return Vector6<S>(-switched.vector()); });

@@ -84,15 +84,24 @@ struct ResolvedRate : StatelessLaw<ResolvedRateGains> {
   static void evaluate(const ControlTask<S, N>& task, const Constants<S, N>& gains, const Stage<S>& /*stage*/,
                        const LawInput<S, N>& input, Evaluation<S>& out, const Listener& listener = {}) noexcept {
     const Vector<S, 2 * N> feature_error = task.desired_features - input.features;
-    const Eigen::Matrix<S, 2 * N, 6> J = jacobian(gains.jacobian_at, task, input);
-    Matrix6<S> information = Matrix6<S>::Zero();
-    Vector6<S> pulled = Vector6<S>::Zero();
-    for (int row = 0; row < 2 * N; ++row)
-      for (int j = 0; j < 6; ++j) {
-        const S& Jw = task.weights.of_row(row / 2, J(row, j));
-        pulled(j) += Jw * feature_error(row);
-        for (int i = kLanes<S> > 1 ? j : 0; i < 6; ++i) information(i, j) += J(row, i) * Jw;  // of packs the half
-      }
+    const Vector<S, 2 * N>&features = input.features, &desired = task.desired_features;
+    const Vector<S, N>&depths = input.inverse_depth, &goal_depths = task.target.goal_inverse_depth;
+    // That of the goal is turned into B by today's attitude, as that of now is.
+    const bool at_goal = gains.jacobian_at == JacobianPoint::desired;
+    const ImageJacobian<S, N> J(task.camera, task.jacobian_sign, at_goal ? desired : features,
+                                at_goal ? goal_depths : depths, input.pose.position, input.R_BE);
+    const Pairs<S, N> weighed(task.weights.times(feature_error));
+    Matrix6<S> information;
+    Vector6<S> pulled;
+    if (gains.jacobian_at == JacobianPoint::mean) {
+      const ImageJacobian<S, N> goal(task.camera, task.jacobian_sign, desired, goal_depths, input.pose.position,
+                                     input.R_BE);
+      information = J.normal_matrix(mean(J.rows(task.weights), goal.rows(task.weights)));
+      pulled = S(0.5) * (J.pull(weighed) + goal.pull(weighed)).vector();
+    } else {
+      information = J.normal_matrix(task.weights);
+      pulled = J.pull(weighed).vector();
+    }
     for (int j = 0; j < 6; ++j) information(j, j) += gains.damping(j);
     const S lambda = velocity_gain(gains, task.weights.largest(feature_error));
     const Vector6<S> pose_error = solve_normal_equations<S>(information, pulled);
@@ -102,20 +111,6 @@ struct ResolvedRate : StatelessLaw<ResolvedRateGains> {
     listener.pose_error([&] { return pose_error; });
     listener.part(LawPart::reference, [&] { return Vector6<S>(gains.ki.cwiseProduct(velocity)); });
     listener.part(LawPart::damping, [&] { return Vector6<S>(-gains.ki.cwiseProduct(input.twist)); });
-  }
-
- private:
-  /// J-hat as a matrix. That of the goal is turned into B by today's attitude, as that of now is.
-  template <class S, int N>
-  static Eigen::Matrix<S, 2 * N, 6> jacobian(JacobianPoint at, const ControlTask<S, N>& task,
-                                             const LawInput<S, N>& input) noexcept {
-    const ImageJacobian<S, N> now(task.camera, task.jacobian_sign, input.features, input.inverse_depth,
-                                  input.pose.position, input.R_BE);
-    if (at == JacobianPoint::current) return now.matrix();
-    const ImageJacobian<S, N> goal(task.camera, task.jacobian_sign, task.desired_features,
-                                   task.target.goal_inverse_depth, input.pose.position, input.R_BE);
-    if (at == JacobianPoint::desired) return goal.matrix();
-    return S(0.5) * (now.matrix() + goal.matrix());
   }
 };
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -130,6 +131,7 @@ def require_forces(scenario: Scenario) -> None:
         )
 
 
+@lru_cache(maxsize=16)  # several parts of an analysis ask, one of them with other depth errors too
 def loop_at_rest(scenario: Scenario) -> LoopAtRest:
     """Linearise a scenario's loop where it rests.
 

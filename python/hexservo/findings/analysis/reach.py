@@ -7,7 +7,6 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from hexservo import _core
 from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene, scene_of
@@ -64,12 +63,9 @@ class StartAndGoal:
 
 
 def leg_margin(travel: Array, stroke: float, unit: str = "m") -> LegMargin:
-    """Return the leg nearest to its limit, of travels (6,) from the middle of the travel, in `unit`."""
+    """Return the leg nearest to its limit, of travels (6,) as of `Scene.leg_travel`, in `unit`."""
     leg = int(np.abs(travel).argmax())
-    left = float(stroke - abs(travel[leg]))
-    if -_core.STROKE_TOLERANCE * stroke <= left < 0.0:  # beyond by rounding alone: at its end
-        left = 0.0
-    return LegMargin(leg + 1, float(travel[leg]), left, unit=unit)
+    return LegMargin(leg + 1, float(travel[leg]), float(stroke - abs(travel[leg])), unit=unit)
 
 
 def nearest_limit(scene: Scene, pose: Poses) -> LegMargin:

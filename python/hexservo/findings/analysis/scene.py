@@ -224,7 +224,7 @@ class Scene:
 
         Of rotary legs angles [rad], infinite where a crank does not close.
         """
-        found = _at_each(self.hexapod.leg_lengths, poses, 6) - self.hexapod.mid_lengths
+        found = _at_each(self.hexapod.leg_travel, poses, 6)
         return np.where(np.isnan(found), np.inf, found)
 
     def lever_arms(self, poses: Poses) -> Array:
@@ -251,12 +251,22 @@ class Scene:
     @property
     def image_noise(self) -> float:
         """Return the deviation of a coordinate at the start, of the camera and of what encoders read [px]."""
-        sensors, of_camera = self.scenario.sensors, feature_noise(self.scenario.camera)
+        return math.hypot(feature_noise(self.scenario.camera), self.joint_noise)
+
+    @property
+    def joint_noise(self) -> float:
+        """Return the deviation of a coordinate at the start by what encoders read [px]; 0 where poses are exact."""
+        by_joint = self.view(self.start).jacobian @ self.pose_noise
+        return float(np.linalg.norm(by_joint)) / math.sqrt(len(by_joint))
+
+    @property
+    def pose_noise(self) -> Array:
+        """Return a root R of the covariance R R^T of the pose at the start that encoders read, (6, 6) [m; rad]."""
+        sensors = self.scenario.sensors
         of_joint = math.hypot(sensors.noise, sensors.resolution / math.sqrt(12.0))
         if sensors.pose != "encoders" or of_joint == 0.0:
-            return of_camera
-        by_joint = self.view(self.start).jacobian @ np.linalg.inv(self.wrench_maps(self.start).T) * of_joint
-        return math.hypot(of_camera, float(np.linalg.norm(by_joint)) / math.sqrt(len(by_joint)))
+            return np.zeros((6, 6))
+        return np.asarray(np.linalg.inv(self.wrench_maps(self.start).T) * of_joint)
 
     def limits_left(self, poses: Poses) -> Array:
         """Return which share of its limits the leg nearest to one has left, (...); negative beyond it."""

@@ -68,13 +68,22 @@ class Diagnosis(Part):
         return tuple(finding for finding in self.causes if finding.named)
 
     @property
+    def pair(self) -> tuple[Finding, ...]:
+        """The two causes that make the run fail only together; empty where one alone explains it, or none does."""
+        return () if self.named else tuple(finding for finding in self.causes if finding.cause in self.together)
+
+    @property
+    def passes_without_either(self) -> bool:
+        """Whether the run passes without one of the `pair`, whichever it is."""
+        return all(finding.without is not None and finding.without.works for finding in self.pair)
+
+    @property
     def cures(self) -> tuple[dict[str, Any], ...]:
         """Changes of the scenario, by dotted key, with each of which the first sentence states that the run passes."""
         if self.obstacle is not None or not self.causes:
             return ()
-        first = [] if self.named or not self.together else [one for one in self.causes if one.cause in self.together]
-        without = [one.without for one in first or self.causes[:1] if one.without is not None]
-        if first and not all(one.works for one in without):
+        without = [one.without for one in self.pair or self.causes[:1] if one.without is not None]
+        if self.pair and not self.passes_without_either:
             return ({key: value for one in without for key, value in one.changes.items()},)
         return tuple(one.changes for one in without if one.works)
 

@@ -92,14 +92,13 @@ def _verdict(found: Diagnosis) -> str:
 
 def _of_two(found: Diagnosis, was: str) -> str:
     """Return the verdict on two causes: what is known of each alone depends on whether the run passes without it."""
-    two = [finding for finding in found.causes if finding.cause in found.together]
     words = (
         f"Not explained by one cause: two make it fail together, {joined([_TITLES[key] for key in found.together])}; "
         f"the original run {was}. "
     )
-    if not all(finding.without is not None and finding.without.works for finding in two):
+    if not found.passes_without_either:
         return f"{words}It passes only without both. Without other faults both together fail as well."
-    alone = ", and neither does alone" if all(finding.alone is False for finding in two) else ""
+    alone = ", and neither does alone" if all(finding.alone is False for finding in found.pair) else ""
     return f"{words}It passes without either of them. Without other faults both together fail as well{alone}."
 
 
