@@ -105,8 +105,14 @@ def _sentences(found: LargestStart) -> list[str]:
 
 def _not_settled(found: LargestStart) -> str:
     """Return why there are no camera times: a task that is only slow may settle after the longest run."""
-    words = f"{_task(found)} does not settle within {found.task_duration:g} s and {_WITHIN}: camera times were not tried"
-    return f"{words}. Longer runs take too many steps here: whether it settles is not known." if found.is_cut else f"{words}."
+    words = (
+        f"{_task(found)} does not settle within {found.task_duration:g} s and {_WITHIN}: camera times were not tried"
+    )
+    return (
+        f"{words}. Longer runs take too many steps here: whether it settles is not known."
+        if found.is_cut
+        else f"{words}."
+    )
 
 
 def _others(found: LargestStart) -> str:

@@ -63,6 +63,7 @@ IMAGE_ALONE = tuple(law for law, has in _core.LAW_TRAITS.items() if has.output =
 ORDINARY_BANDWIDTH = 100.0  # [Hz], of the actuators, at least
 _ROUNDING = 1e-9  # relative difference of equal numbers
 _NEAR = 1.5  # factor between a gain and its default within which it is ordinary
+_SAME_RATE = 2.0  # factor between the rates of two loops within which time does not part them
 _KEPT = frozenset(
     {"sensors.pose", "sensors.rate", "actuators.hold", "actuators.kind"}
 )  # how a machine is built, and no fault
@@ -208,9 +209,11 @@ def alone_at_its_gains(case: Case, name: str, power: float) -> list[Alone]:
     key = f"controller.{law}.{name}"
     value = np.asarray(value_at(scenario, key), dtype=float)
     pairs = [Alone(without, {**without, key: (value * ratio**power).tolist()})]
-    with contextlib.suppress(ValueError):  # of gains that the scenario refuses
-        at_its_rate = {**without, **slower(scenario.updated(without), ratio**-0.5)}
-        pairs.append(Alone(at_its_rate, {**at_its_rate, key: value.tolist()}, otherwise=True))
+    rate = math.sqrt(ratio)
+    if max(rate, 1.0 / rate) > _SAME_RATE:
+        with contextlib.suppress(ValueError):  # of gains that the scenario refuses
+            at_its_rate = {**without, **slower(scenario.updated(without), 1.0 / rate)}
+            pairs.append(Alone(at_its_rate, {**at_its_rate, key: value.tolist()}, otherwise=True))
     return pairs
 
 
