@@ -34,6 +34,7 @@ def in_time(scenario: hs.Scenario, factor: float) -> hs.Scenario:
     return scenario.updated(
         {
             **slower(scenario, factor),
+            **slower(scenario.updated({"controller.law": "pbvs"}), factor),  # which is tried in place of another law
             "robot.gravity": gravity.tolist(),
             "robot.force_limit": scenario.robot.force_limit / factor**2,
             "simulation.step": factor * scenario.simulation.step,
