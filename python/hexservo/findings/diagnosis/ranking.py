@@ -270,10 +270,9 @@ def _unusual_causes(case: Case) -> set[str]:
 
 
 def _gets_there(one: Study, withheld: str) -> bool:
-    """Return whether the law gets to the goal with other settings of its own, as no gain leads out of its equilibria."""
-    return any(
-        trial.cause.kind == "law" and not trial.judgement.failed for key, trial in one.best.items() if key != withheld
-    )
+    """Return whether the law gets to the goal with other settings of its own: none leads out of a false equilibrium."""
+    others = (trial for key, trial in one.best.items() if key != withheld)
+    return any(trial.cause.kind == "law" and not trial.judgement.failed for trial in others)
 
 
 def _is_elsewhere(one: Study) -> bool:
