@@ -31,8 +31,10 @@ from hexservo.findings.analysis.loop_of_scenario import (
     scaled,
 )
 from hexservo.findings.analysis.scene import scene_of
+from hexservo.findings.diagnosis.gains import slower
 from hexservo.findings.diagnosis.size import MachineSize
 from hexservo.findings.evidence import HeatMap, Table, as_data
+from hexservo.scenario.keys import value_at
 from hexservo.scenario.parameters import core_parameters
 from rescaled import rescaled
 
@@ -892,9 +894,42 @@ def test_runs_too_short_for_a_slow_mode_are_inconclusive() -> None:
     assert abs(inside.predicted) * inside.duration == pytest.approx(0.0314, rel=0.02)
     section = found.section()
     assert section.verdict == "good"
-    assert "That is inconclusive: the predicted growth changes the motion by 3.1 % in 10" in " ".join(section.sentences)
-    longer = tuple(replace(run, duration=100.0) for run in found.runs)  # in which it would show
+    words = "in 10 s the predicted growth changes the motion by a factor of 1.03, and what remains of other modes hides"
+    assert f"That is inconclusive: {words} one below 7.4." in " ".join(section.sentences)
+    longer = tuple(replace(run, duration=1000.0) for run in found.runs)  # in which it would show
     assert replace(found, runs=longer).section().verdict == "warning"
+
+
+def test_runs_near_the_border_last_as_long_as_a_slower_clock_needs() -> None:
+    """`slow-camera`, four times as slow in all its times: its modes need 40 s where those of the original need 10 s."""
+    scenario = hs.load_scenario("slow-camera")
+    times = ("simulation.step", "camera.period", "camera.latency")
+    slow = scenario.updated({**slower(scenario, 4.0), **{key: 4.0 * value_at(scenario, key) for key in times}})
+    ends = [camera_rate.analyse(each) for each in (scenario, slow)]
+    for one, other in zip(*(found.runs for found in ends), strict=True):
+        assert other.predicted == pytest.approx(one.predicted / 4.0, rel=0.02)
+        assert other.duration == pytest.approx(4.0 * one.duration, rel=0.1)
+        assert other.conclusive
+        assert other.agrees
+    assert "They disagree" not in " ".join(ends[1].section().sentences)
+
+
+@pytest.mark.parametrize(("constant", "tick", "ending"), [(60.0, 0.01, "settles"), (200.0, 0.001, "open")])
+def test_a_loop_that_is_only_slow_is_not_called_bad(constant: float, tick: float, ending: str) -> None:
+    """Runs last 20 time constants, 500 s at most here; one of a quarter of a time constant decides nothing."""
+    scenario = hs.load_scenario("pi-h824").updated(
+        {
+            "controller": {"law": "resolved_rate", "resolved_rate": {"gain": 1.0 / constant}},
+            "camera": {"prediction": "none", "period": 0.03, "latency": 0.03},
+            "simulation.step": tick,
+        }
+    )
+    found = camera_rate.analyse(scenario, borders=False)
+    assert found.acting is not None
+    assert found.acting.slowest == pytest.approx(constant, rel=0.03)
+    assert {run.ending for run in found.starts} == {ending}
+    assert all(run.duration == pytest.approx(50_000 * tick) for run in found.starts)
+    assert found.stable
 
 
 def test_the_map_shows_the_borders() -> None:

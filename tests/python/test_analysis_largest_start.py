@@ -377,6 +377,43 @@ def test_a_task_that_needs_longer_gets_longer() -> None:
     assert trial.duration == 10.0  # it settles after 5.06 s
 
 
+def test_a_slow_machine_has_runs_as_long_as_it_needs() -> None:
+    """A loop of 0.05 Hz settles after 18 s of 120 s: runs last twice that and the dwell time of 0.2 s."""
+    scenario = hs.load_scenario("rubin-camera-hexapod").updated(
+        {
+            "controller.composite.auto.bandwidth": 0.05,
+            "camera.period": 0.1,
+            "camera.latency": 0.1,
+            "simulation.duration": 120.0,
+            "simulation.step": 0.01,
+        }
+    )
+    settling = hs.metrics(hs.simulate(scenario))["settling_time"]
+    assert 10.0 < settling < 30.0
+    trial = SettlingRuns(scenario)
+    assert trial.task_settles
+    assert not trial.is_cut
+    assert trial.duration == pytest.approx(2.0 * (settling + 0.2))
+    assert trial.longer == trial.duration
+    short = SettlingRuns(scenario.updated({"simulation.duration": 15.0}))
+    assert not short.task_settles
+    assert not short.is_cut  # within its own duration it does not settle
+
+
+def test_a_task_whose_run_takes_too_many_steps_is_not_called_bad() -> None:
+    """A law without gain never settles, which 100 000 of 101 000 steps do not prove."""
+    weak = hs.load_scenario("paper-nominal").updated({"controller.law": "kelly", "controller.kelly.kp": 0.0})
+    sections = [
+        largest_start.analyse(weak.updated({"simulation.duration": duration})).section() for duration in (99.0, 101.0)
+    ]
+    assert [section.verdict for section in sections] == ["bad", "open"]
+    decided, cut = (" ".join(section.sentences) for section in sections)
+    assert "The task itself does not settle within 99 s and the stroke" in decided
+    assert "does not settle within 100 s and the stroke" in cut
+    assert "Longer runs take too many steps here: whether it settles is not known." in cut
+    assert "is not known" not in decided
+
+
 def test_a_goal_that_the_core_refuses_is_no_run(paper: hs.Scenario) -> None:
     trial = SettlingRuns(paper)
     before = trial.runs

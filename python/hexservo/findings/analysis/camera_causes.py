@@ -27,13 +27,15 @@ class Repeat:
         return all(run.rests for run in self.runs)
 
 
-def repeated_starts(home: Scenario, clock: Clock, *, learns: bool, rest: bool) -> tuple[Repeat, ...]:
+def repeated_starts(home: Scenario, slowest: float, clock: Clock, *, learns: bool, rest: bool) -> tuple[Repeat, ...]:
     """Repeat runs from small starts without what may be the cause of their ending, and with a perfect camera.
 
     Parameters
     ----------
     home
         With the image of rest as its goal, seen from home.
+    slowest
+        Time constant of the slowest mode of its linear loop [s].
     clock
         Of its camera.
     learns
@@ -44,9 +46,9 @@ def repeated_starts(home: Scenario, clock: Clock, *, learns: bool, rest: bool) -
     law = home.controller.law
     found = []
     if home.controller.traits.switching and np.any(np.asarray(home.controller.gains.kv)):
-        found.append(Repeat("switching", start_runs(home.updated({f"controller.{law}.kv": 0.0}))))
+        found.append(Repeat("switching", start_runs(home.updated({f"controller.{law}.kv": 0.0}), slowest)))
     if learns and not any(repeat.rests != rest for repeat in found):
-        found.append(Repeat("fuzzy", start_runs(home.updated({f"controller.{law}.fuzzy.enabled": False}))))
+        found.append(Repeat("fuzzy", start_runs(home.updated({f"controller.{law}.fuzzy.enabled": False}), slowest)))
     if not rest and clock != Clock(1, 0):
-        found.append(Repeat("camera", start_runs(with_perfect_camera(home))))
+        found.append(Repeat("camera", start_runs(with_perfect_camera(home), slowest)))
     return tuple(found)

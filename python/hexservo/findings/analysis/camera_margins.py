@@ -59,6 +59,11 @@ class Margins:
     motion: Array | None  # (6,) of that mode, linear, then angular times the platform's radius; largest is 1
 
     @property
+    def slowest(self) -> float:
+        """Time constant [s] of the slowest of them, which decays or grows; infinite where it does neither."""
+        return 1.0 / abs(self.rate) if self.rate else np.inf
+
+    @property
     def has_camera(self) -> bool:
         """Whether there is a camera with which nothing grows but drifts: a perfect one, or one that was found."""
         return self.perfect or self.period.stable is not None or self.latency.stable is not None

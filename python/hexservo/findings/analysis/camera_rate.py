@@ -46,8 +46,12 @@ NEARLY = 0.05
 """A run on each side of the border is this far from it, relative to it; of whole ticks the nearest, at least one."""
 OF_GROWTH = 0.2
 """Share of a predicted growth that a measured one may differ from it."""
-LEAST_CHANGE = 0.1
+LEAST_CHANGE = 2.0
 """Growth times duration of a run, from which a measured sign counts: less is hidden by what remains of other modes."""
+_LONGEST = (10.0, 10_000)
+"""Of a run near a stability limit: one of the slower mode takes up to so many seconds or ticks, the larger of both."""
+_TURNING = 0.01
+"""Angle [rad], by which a mode turns at least within that time; one that turns less is taken as real."""
 E_FOLDINGS = 10.0
 """Of a mode of the linear loop in a run that hunts, from which it would have left the settling band if it grew."""
 _KEYS: tuple[Literal["period", "latency"], ...] = ("period", "latency")
@@ -73,9 +77,14 @@ class BorderRun:
         return (self.predicted > 0.0) == (self.measured > 0.0)
 
     @property
+    def change(self) -> float:
+        """Logarithm of the factor by which the predicted growth changes the motion within the run."""
+        return abs(self.predicted) * self.duration
+
+    @property
     def conclusive(self) -> bool:
-        """Whether the predicted growth changes the motion enough within the run for its sign to be measured."""
-        return abs(self.predicted) * self.duration >= LEAST_CHANGE
+        """Whether that is enough for the sign of the growth to be measured."""
+        return self.change >= LEAST_CHANGE
 
     @property
     def grows_as_predicted(self) -> bool:
@@ -196,8 +205,9 @@ def _run(
     seconds = place.loop.seconds(place.clock)
     predicted, turning = exponent.real, abs(exponent.imag)
     # Long enough for many turns and for a change that shows, short enough for a mode that grows to stay small.
-    turns = 32.0 * np.pi / turning if turning > 1e-3 else 0.0
-    longest = float(np.clip(3.0 / max(abs(predicted), 1e-300), min(turns, 10.0), 10.0))
+    most = max(_LONGEST[0], _LONGEST[1] * place.loop.tick)
+    turns = 32.0 * np.pi / turning if turning * most > _TURNING else 0.0
+    longest = float(np.clip(3.0 / max(abs(predicted), 1e-300), min(turns, most), most))
     multipliers = place.loop.multipliers(place.clock)
     real = np.sort(multipliers.real[(np.abs(multipliers.imag) < 1e-9) & (multipliers.real > 1.0)])[:drifts]
     drift = float(np.log(real.max(initial=1.0)) / seconds)
@@ -257,7 +267,7 @@ def analyse(scenario: Scenario, *, borders: bool = True) -> CameraRate:
     smooth = margins_of(at_rest.smooth) if at_rest.smooth is not None else None
     result = CameraRate(scenario, None, at_rest, clock, free, smooth)
     acting = result.acting or free
-    result = replace(result, starts=_start_runs(at_rest))
+    result = replace(result, starts=_start_runs(at_rest, acting))
     if not borders:
         return result
     result = replace(result, repeats=_repeats(result, at_rest, clock))
@@ -287,19 +297,21 @@ def clock_of_loop(at_rest: LoopAtRest) -> Clock:
     return clock
 
 
-def _start_runs(at_rest: LoopAtRest) -> tuple[StartRun, ...]:
+def _start_runs(at_rest: LoopAtRest, acting: Margins) -> tuple[StartRun, ...]:
     try:
-        return start_runs(at_rest_at_home(at_rest))
+        return start_runs(at_rest_at_home(at_rest), acting.slowest)
     except ScenarioError:  # the core refuses an image of rest as a goal
         return ()
 
 
 def _repeats(result: CameraRate, at_rest: LoopAtRest, clock: Clock) -> tuple[Repeat, ...]:
     hunting = any(run.ending == "hunts" for run in result.starts)
-    if result.settles is None or not (hunting or (result.acting and result.settles != result.acting.stable)):
+    acting = result.acting
+    if acting is None or result.settles is None or not (hunting or result.settles != acting.stable):
         return ()
     rest = all(run.rests for run in result.starts)
-    return repeated_starts(at_rest_at_home(at_rest), clock, learns=bool(at_rest.free.axes), rest=rest)
+    home = at_rest_at_home(at_rest)
+    return repeated_starts(home, acting.slowest, clock, learns=bool(at_rest.free.axes), rest=rest)
 
 
 def _learned(at_rest: LoopAtRest, margins_of: Callable[[SampledLoop], Margins], smooth: bool) -> Margins | None:

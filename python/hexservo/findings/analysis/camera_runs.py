@@ -22,8 +22,11 @@ from hexservo.scenario.scenario import Scenario
 STARTS = (0.01, 1.0)
 """Largest feature offsets of the small starts [px]."""
 
-_DURATIONS = (10.0, 40.0)  # of a run from a small start: the second one if the first is inconclusive [s]
+# Of a run from a small start: at least [s], and in time constants of the loop's slowest mode; the second one if the
+# first is inconclusive.
+_DURATIONS, _CONSTANTS = (10.0, 40.0), (20.0, 80.0)
 _TICKS = 50_000  # of a run, at most
+_LEAST = 3.0  # time constants of the slowest mode, before which a motion that goes on or hunts may only be slow
 _PARTS = 10  # of a run, whose motions are compared
 _QUIET, _MOVING = 0.05, 0.5  # of the largest motion: the last part has less at rest, and more where it goes on
 _HELD = 0.95  # of the starting error, at least, is left at the end of a run that K_v holds there
@@ -70,13 +73,15 @@ class LimitBorder:
     perfect: LimitUse | None  # with a frame at every tick and no latency, where `own` is beyond; None: it is not
 
 
-def start_runs(home: Scenario) -> tuple[StartRun, ...]:
+def start_runs(home: Scenario, slowest: float) -> tuple[StartRun, ...]:
     """Run a loop from small starting errors, and return how each run ends.
 
     Parameters
     ----------
     home
         With the image of rest as its goal, seen from home: see `seen_from_home`.
+    slowest
+        Time constant of the slowest mode of the linear loop, fuzzy systems included, which decays or grows [s].
 
     Raises
     ------
@@ -85,13 +90,13 @@ def start_runs(home: Scenario) -> tuple[StartRun, ...]:
     """
     scene = scene_of(home)
     view = scene.view(scene.home)
-    return tuple(_start_run(home, offset, view.after(ALL_AXES * scene.unit, offset)) for offset in STARTS)
+    return tuple(_start_run(home, slowest, offset, view.after(ALL_AXES * scene.unit, offset)) for offset in STARTS)
 
 
-def _start_run(home: Scenario, offset: float, goal: Array) -> StartRun:
+def _start_run(home: Scenario, slowest: float, offset: float, goal: Array) -> StartRun:
     tick = home.simulation.step
     found: StartRun | None = None
-    for seconds in _DURATIONS:
+    for seconds in (max(each, count * slowest) for each, count in zip(_DURATIONS, _CONSTANTS, strict=True)):
         ticks = _PARTS * max(1, round(min(seconds / tick, _TICKS) / _PARTS))
         changes: dict[str, Any] = {
             "target.desired_features": goal.tolist(),
@@ -104,6 +109,8 @@ def _start_run(home: Scenario, offset: float, goal: Array) -> StartRun:
         errors = np.abs(result.feature_error).max(axis=1)
         if ending == "goes on" and _hunts(errors, home.metrics.band):
             ending = "hunts"
+        if ending in ("goes on", "hunts") and ticks * tick < _LEAST * slowest:
+            ending = "open"
         late = float(errors[len(errors) // 2 :].max())
         found = StartRun(offset, ticks * tick, ending, float(errors.max()), float(errors[-1]), late, travel)
         if ending not in ("no nearer", "hunts", "goes on", "open"):

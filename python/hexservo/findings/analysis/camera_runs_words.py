@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from hexservo.findings.analysis.camera_margins import Margins
-from hexservo.findings.analysis.camera_rate import OF_GROWTH, CameraRate
+from hexservo.findings.analysis.camera_rate import LEAST_CHANGE, OF_GROWTH, CameraRate
 from hexservo.findings.analysis.loop_of_scenario import OFFSET as START
 from hexservo.findings.analysis.words import in_ms, number
 from hexservo.run.leg_limits import LimitUse, limits_of_motion
@@ -158,10 +160,11 @@ def border_runs_in_words(result: CameraRate) -> list[str]:
     )
     if not (inside.agrees and outside.agrees):
         if not any(run.conclusive and not run.agrees for run in result.runs):
-            change = max(abs(run.predicted) * run.duration for run in result.runs if not run.agrees)
+            run = max((run for run in result.runs if not run.agrees), key=lambda run: run.change)
             return [
-                f"{text} That is inconclusive: the predicted growth changes the motion by {100.0 * change:.2g} % in "
-                f"{inside.duration:.3g} s, too little to be measured."
+                f"{text} That is inconclusive: in {run.duration:.3g} s the predicted growth changes the motion by a "
+                f"factor of {np.exp(run.change):.3g}, and what remains of other modes hides one below "
+                f"{np.exp(LEAST_CHANGE):.2g}."
             ]
         return [text + " They disagree: the linear loop does not describe these runs."]
     if any(run.offset < START for run in result.runs):

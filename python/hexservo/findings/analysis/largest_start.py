@@ -82,6 +82,8 @@ class LargestStart(Part):
     timings: tuple[Timing, ...] = ()
     duration: float = 0.0  # [s], of every run
     longer: float = 0.0  # [s], of those of the smallest sizes and times that fail; 0: there were none
+    task_duration: float = 0.0  # [s], of the longest run of the task itself, where it does not settle
+    is_cut: bool = False  # whether this is less than the scenario's own, so that a slow task may settle yet
     runs: int = 0
     starts_at_goal: bool = False  # home has the goal image, within `inexact`
     home_error: float = 0.0  # [px], largest |xi_d - xi| at home
@@ -130,6 +132,8 @@ def analyse(scenario: Scenario) -> LargestStart:
         timings,
         trial.duration,
         longer,
+        trial.task_duration,
+        trial.is_cut,
         trial.runs,
         at_goal,
         float(scene.residual(scene.home)),

@@ -48,7 +48,7 @@ def section(found: LargestStart) -> Section:
 
 def _verdict(found: LargestStart) -> Verdict:
     own = found.own
-    if own is None:
+    if own is None or found.is_cut:
         return "open"
     if not own.tried.get(1.0, False):
         return "bad"
@@ -92,7 +92,7 @@ def _sentences(found: LargestStart) -> list[str]:
             f"{factors[1]} times {_failure(found, own)}{_by_seeds(own, ' (', ')')} (empirical)."
         )
     words.append(_others(found))
-    words += _timing_words(found) or [f"{_task(found)} does not settle within {_WITHIN}: camera times were not tried."]
+    words += _timing_words(found) or [_not_settled(found)]
     words += _force_words(found)
     again = [d.name for d in found.directions if d.settles_again]
     words.append(
@@ -101,6 +101,18 @@ def _sentences(found: LargestStart) -> list[str]:
         + (f" (along {', '.join(again)} a larger error settles again)." if again else ".")
     )
     return words
+
+
+def _not_settled(found: LargestStart) -> str:
+    """Return why there are no camera times: a task that is only slow may settle after the longest run."""
+    words = (
+        f"{_task(found)} does not settle within {found.task_duration:g} s and {_WITHIN}: camera times were not tried"
+    )
+    return (
+        f"{words}. Longer runs take too many steps here: whether it settles is not known."
+        if found.is_cut
+        else f"{words}."
+    )
 
 
 def _others(found: LargestStart) -> str:

@@ -20,7 +20,11 @@ from hexservo.scenario.scenario import Scenario
 SEEDS = 4
 """With which the smallest size and the first time that fail are repeated where runs are random."""
 
-_SHORT, _LONG = 2.0, 10.0  # [s], of a run, and of one where the task itself needs longer
+# Durations are those of the scenario, whose times may be those of any machine: in dwell times, a run and one where the
+# task itself needs longer; the first is at least a share of the scenario's own.
+_SHORT, _LONG, _SHARE = 10.0, 50.0, 1 / 30
+_ENOUGH = 2.0  # times as long as the task needs where it needs longer still
+_STEPS = 100_000  # of the longest run
 
 Tried: TypeAlias = dict[float, bool]
 """Size or time -> whether it settled."""
@@ -53,18 +57,40 @@ class Ends:
 
 
 class SettlingRuns:
-    """Runs variations of a scenario for one duration, and counts them."""
+    """Runs variations of a scenario for one duration, and counts them.
+
+    Attributes
+    ----------
+    duration, longer
+        [s], of a run, and of the smallest that fails once more.
+    task_settles
+        Whether the task itself settles, in a run of up to `task_duration` [s].
+    is_cut
+        Whether it does not, and this is shorter than the scenario's own duration.
+    """
 
     def __init__(self, scenario: Scenario) -> None:
         self.runs = 0
-        own, step = scenario.simulation.duration, scenario.simulation.step
-        # the short duration, unless the task itself needs the longer one
-        self.longer = min(own, _whole(_LONG, step))
-        self.duration = min(own, _whole(_SHORT, step))
-        self.scenario = scenario.updated({**AT_HOME, "simulation.duration": self.duration})
-        self.task_settles = self._settles(self.scenario)
-        if not self.task_settles and self.duration < self.longer and self._settles(self.longest()):
-            self.task_settles, self.duration, self.scenario = True, self.longer, self.longest()
+        own, step, dwell = scenario.simulation.duration, scenario.simulation.step, scenario.metrics.dwell
+        self.scenario = scenario.updated(AT_HOME)
+        # the short duration, unless the task itself needs a longer one
+        self.duration = min(own, _whole(max(_SHORT * dwell, _SHARE * own), step))
+        self.longer = max(self.duration, min(own, _whole(_LONG * dwell, step)))
+        self.task_duration = max(self.longer, min(own, _STEPS * step))
+        settling = np.nan
+        for duration in sorted({self.duration, self.longer, self.task_duration}):
+            settling = self._settling(duration)
+            if np.isfinite(settling):
+                self.duration = duration
+                break
+        self.task_settles = bool(np.isfinite(settling))
+        if self.duration > self.longer:
+            enough = _whole(_ENOUGH * (settling + dwell), step)
+            if enough < self.duration and np.isfinite(self._settling(enough)):  # with noise it may not
+                self.duration = enough
+            self.longer = self.duration
+        self.is_cut = not self.task_settles and self.task_duration < own
+        self.scenario = self.scenario.updated({"simulation.duration": self.duration})
 
     def longest(self) -> Scenario:
         """Return the scenario with the longer duration."""
@@ -81,9 +107,11 @@ class SettlingRuns:
         settled = self.ends({**repeated, "seed": np.tile(seeds, count)}, base).settled.reshape(count, SEEDS)
         return [tuple(bool(good) for good in row) for row in settled]
 
-    def _settles(self, task: Scenario) -> bool:
-        goal = np.array([task.target.desired_features])
-        return bool(self.ends({"target.desired_features": goal}, task).settled[0])
+    def _settling(self, duration: float) -> float:
+        """Run the task for a duration and return its settling time [s]; NaN: it does not settle within the limits."""
+        task = self.scenario.updated({"simulation.duration": duration})
+        ends = self.ends({"target.desired_features": np.array([task.target.desired_features])}, task)
+        return float(ends.times[0]) if ends.settled[0] else np.nan
 
     def ends(self, variations: Mapping[str, Array], scenario: Scenario | None = None) -> Ends:
         """Run each variation and return how it ends.

@@ -6,6 +6,7 @@ ordinary, whether a cause of the list is about it or not.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -13,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from hexservo import _core
-from hexservo.findings.diagnosis.gains import default_gains
+from hexservo.findings.diagnosis.gains import default_gains, slower
 from hexservo.findings.diagnosis.model import Alone, Case, Cause, Changes, Removal, in_scenario
 from hexservo.findings.diagnosis.size import device_size
 from hexservo.scenario.keys import default_of, keys_below, value_at
@@ -62,6 +63,7 @@ IMAGE_ALONE = tuple(law for law, has in _core.LAW_TRAITS.items() if has.output =
 ORDINARY_BANDWIDTH = 100.0  # [Hz], of the actuators, at least
 _ROUNDING = 1e-9  # relative difference of equal numbers
 _NEAR = 1.5  # factor between a gain and its default within which it is ordinary
+_SAME_RATE = 2.0  # factor between the rates of two loops within which time does not part them
 _KEPT = frozenset(
     {"sensors.pose", "sensors.rate", "actuators.hold", "actuators.kind"}
 )  # how a machine is built, and no fault
@@ -193,7 +195,8 @@ def alone_at_its_gains(case: Case, name: str, power: float) -> list[Alone]:
     """Return one setting of a law alone, relative to the law's stiffness: with other gains it has another effect.
 
     A loop that is faster as a whole has K_v by the square, and Psi by the inverse square, of what is ordinary for the
-    machine's size.
+    machine's size. Where a loop with ordinary gains fails, it is tried at the rate of the scenario's own stiffness:
+    default gains know no time, and are too slow for a run of some milliseconds.
     """
     scenario = case.scenario
     without = {**ideal(scenario), **ordinary(scenario)}
@@ -205,7 +208,13 @@ def alone_at_its_gains(case: Case, name: str, power: float) -> list[Alone]:
     ratio = float(np.exp(np.mean(np.log(np.maximum(own, 1e-12 * usual) / usual))))
     key = f"controller.{law}.{name}"
     value = np.asarray(value_at(scenario, key), dtype=float)
-    return [Alone(without, {**without, key: (value * ratio**power).tolist()})]
+    pairs = [Alone(without, {**without, key: (value * ratio**power).tolist()})]
+    rate = math.sqrt(ratio)
+    if max(rate, 1.0 / rate) > _SAME_RATE:
+        with contextlib.suppress(ValueError):  # of gains that the scenario refuses
+            at_its_rate = {**without, **slower(scenario.updated(without), 1.0 / rate)}
+            pairs.append(Alone(at_its_rate, {**at_its_rate, key: value.tolist()}, otherwise=True))
+    return pairs
 
 
 def both_alone(first: Cause, second: Cause, case: Case) -> list[Changes]:

@@ -23,7 +23,7 @@ _NOT_NAMED = {  # fails alone -> why a removal that helps is not named as the ca
     False: "that helps, but it is not the cause: it is ordinary, or alone it makes no scenario without other faults "
     "fail.",
     True: "alone it makes a scenario without other faults fail too, but it is not named: its settings are ordinary, "
-    "small random changes cure the run as well, or the run has not come to rest.",
+    "small random changes cure the run as well, the law passes with other settings, or the run has not come to rest.",
     None: "that helps, but it could not be tested alone: the scenario without any fault, for a setting of the law "
     "with default gains, fails as well.",
 }

@@ -181,7 +181,7 @@ def rank(one: Study, withheld: str = "") -> list[Trial]:
         if key == withheld:
             continue
         is_one = bool(trial.alone) and key not in harmless
-        if key == "false_equilibrium" and not _is_elsewhere(one):
+        if key == "false_equilibrium" and (_gets_there(one, withheld) or not _is_elsewhere(one)):
             is_one = False
         share = 1.0 if is_one else _ORDINARY if key in harmless else _NOT_ALONE if key in odd else _USUAL
         score = trial.cure * share * (1.0 - _CHANCE * chance)
@@ -267,6 +267,12 @@ def _unusual_causes(case: Case) -> set[str]:
     """Return the keys of the causes for which a scenario has settings that are not ordinary."""
     keys = unusual(case.scenario)
     return {cause.key for cause in CAUSES if not keys.isdisjoint(in_scenario(cause.keys, case.scenario))}
+
+
+def _gets_there(one: Study, withheld: str) -> bool:
+    """Return whether the law gets to the goal with other settings of its own: none leads out of a false equilibrium."""
+    others = (trial for key, trial in one.best.items() if key != withheld)
+    return any(trial.cause.kind == "law" and not trial.judgement.failed for trial in others)
 
 
 def _is_elsewhere(one: Study) -> bool:
