@@ -177,10 +177,52 @@ def test_a_worst_run_that_a_user_changed_is_kept(tmp_path: Path) -> None:
         assert (out / "worst-run.yaml").read_text(encoding="utf-8") == theirs
     assert len(warnings) == 2
     assert 'worst-run.yaml": expected a file as hexservo wrote it, got a different one, which is kept' in warnings[0]
+    assert re.search(r'; the worst run is in ".*/worst-run-1\.yaml"$', warnings[0])
+    assert (out / "worst-run-1.yaml").read_text(encoding="utf-8") == larger
+    again = hs.campaign(FILE, out, runs=200)
+    assert again.worst_file == out / "worst-run-1.yaml", "an unchanged one is replaced there too"
+    assert not (out / "worst-run-2.yaml").exists()
     plain = larger.partition("\n")[2]  # as earlier versions wrote it
     (out / "worst-run.yaml").write_text(plain, encoding="utf-8")
     hs.campaign(FILE, out, runs=200)
     assert (out / "worst-run.yaml").read_text(encoding="utf-8") == larger
+
+
+def test_a_complete_campaign_is_repeated_without_writing(whole: Path, tmp_path: Path) -> None:
+    """As in a folder that may only be read."""
+    out = tmp_path / "out"
+    shutil.copytree(whole, out)
+    hs.campaign(FILE, out)
+    before = {path: (path.stat().st_ino, path.stat().st_mtime_ns) for path in (out, *out.rglob("*"))}
+    assert hs.campaign(FILE, out).complete
+    assert {path: (path.stat().st_ino, path.stat().st_mtime_ns) for path in (out, *out.rglob("*"))} == before
+
+
+def test_a_place_that_cannot_be_written_is_not_said_to_go_on(tmp_path: Path) -> None:
+    with pytest.raises(OutputError) as refusal:
+        hs.campaign(FILE, tmp_path / ("x" * 300), runs=10)  # a name too long for the file system
+    assert str(refusal.value).endswith(
+        'x": expected a place that can be written, got: File name too long; permit writing there, or name another folder'
+    )
+    (tmp_path / "link").symlink_to("nowhere")
+    with pytest.raises(
+        OutputError, match=r'link": expected a folder, got a symbolic link to "nowhere", which does not'
+    ):
+        hs.campaign(FILE, tmp_path / "link", runs=10)
+
+
+def test_a_chunk_that_cannot_be_read_stays(whole: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(whole, out)
+    chunk = out / "chunks" / "000001.parquet"
+    chunk.unlink()
+    chunk.mkdir()  # the system refuses to read it, also for root
+    (out / "summary.json").unlink()
+    for use in (hs.load_campaign, lambda folder: hs.campaign(FILE, folder)):
+        with pytest.raises(hs.ResultError, match=r'000001\.parquet": cannot be read: Is a directory; permit reading'):
+            use(out)
+    assert chunk.is_dir()
+    assert not (out / "damaged").exists()
 
 
 def test_a_worst_case_that_a_user_changed_is_kept(whole: Path, tmp_path: Path) -> None:
