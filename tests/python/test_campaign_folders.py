@@ -6,6 +6,7 @@ import os
 import re
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -13,6 +14,7 @@ import pytest
 import hexservo as hs
 from hexservo.campaigns import store
 from hexservo.campaigns.plan import CampaignPlan
+from hexservo.campaigns.search_steps import SearchSteps
 from hexservo.campaigns.store import plan_text, read_plan
 from hexservo.run.publish import OutputError
 from test_campaign_engine import FILE
@@ -201,9 +203,8 @@ def test_a_complete_campaign_is_repeated_without_writing(whole: Path, tmp_path: 
 def test_a_place_that_cannot_be_written_is_not_said_to_go_on(tmp_path: Path) -> None:
     with pytest.raises(OutputError) as refusal:
         hs.campaign(FILE, tmp_path / ("x" * 300), runs=10)  # a name too long for the file system
-    assert str(refusal.value).endswith(
-        'x": expected a place that can be written, got: File name too long; permit writing there, or name another folder'
-    )
+    reason = "got: File name too long; permit writing there, or name another folder"
+    assert str(refusal.value).endswith(f'x": expected a place that can be written, {reason}')
     (tmp_path / "link").symlink_to("nowhere")
     with pytest.raises(
         OutputError, match=r'link": expected a folder, got a symbolic link to "nowhere", which does not'
@@ -223,6 +224,15 @@ def test_a_chunk_that_cannot_be_read_stays(whole: Path, tmp_path: Path) -> None:
             use(out)
     assert chunk.is_dir()
     assert not (out / "damaged").exists()
+
+
+def test_a_step_of_a_search_that_cannot_be_read_stays(tmp_path: Path) -> None:
+    (tmp_path / "steps" / "000000.step").mkdir(parents=True)
+    warnings: list[str] = []
+    steps: Any = SimpleNamespace(folder=tmp_path, count=0, record={"search": "a"}, warn=warnings.append)
+    with pytest.raises(OutputError, match=r'000000\.step": cannot be read: Is a directory; permit reading it'):
+        SearchSteps.take(steps, {}, dict)
+    assert not warnings
 
 
 def test_a_worst_case_that_a_user_changed_is_kept(whole: Path, tmp_path: Path) -> None:
