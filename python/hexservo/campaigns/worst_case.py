@@ -14,8 +14,9 @@ from hexservo.campaigns.judging import Judge
 from hexservo.campaigns.refused import REMEDY
 from hexservo.campaigns.requirements import Requirement, ranks_of, run_margins
 from hexservo.campaigns.result import CampaignResult, command_with_changes, scenario_and_changes
-from hexservo.campaigns.store import WORST, require_own_scenario, write_scenario
+from hexservo.campaigns.store import WORST
 from hexservo.campaigns.words import of_common_noise
+from hexservo.campaigns.writing import require_own_scenario, write_scenario
 from hexservo.findings.diagnosis import diagnose
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Column, Section, Table, picked
