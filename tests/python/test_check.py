@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 import hexservo as hs
 import rotary_machine
 from hexservo import _core
-from hexservo.findings.analysis.linear_law import NotFiniteError
+from hexservo.findings.analysis.linear_law import LONGEST_SERVO_PERIOD, NotFiniteError
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check import fastest_rate, unlikely
 from hexservo.findings.check_keys import keys_without_effect, needed_by, settings_needed
@@ -642,6 +642,27 @@ def test_gains_with_which_the_loop_overflows(name: str, changes: dict[str, Any],
     )
     with pytest.raises(NotFiniteError):
         fastest_rate(scene_of(scenario))
+
+
+@pytest.mark.parametrize("period", [LONGEST_SERVO_PERIOD, np.nextafter(LONGEST_SERVO_PERIOD, 2.0)])
+def test_a_servo_period_that_no_controller_takes_is_no_overflow(paper: hs.Scenario, period: float) -> None:
+    """The bound is that of the core."""
+    slow = paper.updated(
+        {
+            "simulation.mode": "sampled",
+            "controller.switching.kind": "implicit",
+            "simulation.step": period,
+            "simulation.duration": 100.0 * period,
+        }
+    )
+    found = unlikely(slow)
+    assert not any("overflow" in line for line in found)
+    assert any("hs.Controller and exports refuse the scenario" in line for line in found) == (period > 1.0)
+    if period > LONGEST_SERVO_PERIOD:
+        with pytest.raises(ValueError, match="period: expected a time above 0 and up to 1 s"):
+            hs.Controller(slow)
+    else:
+        assert hs.Controller(slow).period == period
 
 
 # ---- Keys without effect --------------------------------------------------------------------------------------------

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import pickle
 import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from hexservo import _core
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check import unlikely
 from hexservo.findings.check_tracking import _behind_steady, of_tracking, steady_filter
+from hexservo.findings.target_line import LONGEST_PREDICTION
 from hexservo.run import variant
 from hexservo.scenario.laws import Tracking
 from hexservo.scenario.parameters import core_parameters
@@ -933,6 +935,22 @@ def test_how_far_behind_a_steady_target_of_few_frames_is_followed_is_that_of_run
     assert estimate > scenario.metrics.band
     (sentence,) = of_tracking(scene)
     assert f"up to about {estimate:.1f} px behind" in sentence or f"up to about {estimate:.2g} px behind" in sentence
+
+
+def test_frames_too_rare_for_a_velocity_are_named_with_the_lag_that_they_leave() -> None:
+    """The filter begins anew with each frame, whatever the certainty: the place of the last one is followed."""
+    velocity, period = [5e-4, 0.0, 0.0], 1.2
+    for certainty in (None, 0.0):
+        changes = {} if certainty is None else {"controller.tracking.certainty": certainty}
+        scenario, behind = followed_steadily(velocity, period, changes)
+        (sentence,) = of_tracking(scene_of(scenario))
+        found = re.search(r"up to about ([\d.]+) px behind; take frames at most 1 s apart, or another law", sentence)
+        assert found
+        assert sentence.startswith("camera.period: frames are 1.2 s apart")
+        assert float(found[1]) == pytest.approx(behind, rel=0.03)
+    assert not list(of_tracking(scene_of(scenario.updated({"camera.period": 1.0}))))  # every velocity counts
+    header = (Path(__file__).parents[2] / "cpp" / "include" / "hexservo" / "target_filter.hpp").read_text()
+    assert f"kLongestPrediction = {LONGEST_PREDICTION:.1f};" in header
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,13 @@ from typing import TypeVar
 import numpy as np
 
 from hexservo import _core
-from hexservo.findings.analysis.linear_law import NoRestError, NotFiniteError, linear_law, linear_plant
+from hexservo.findings.analysis.linear_law import (
+    NoRestError,
+    NotFiniteError,
+    linear_law,
+    linear_plant,
+    too_long_a_period,
+)
 from hexservo.findings.analysis.loop_of_scenario import NotApplicableError, quiet
 from hexservo.findings.analysis.reach import reach_of_start_and_goal
 from hexservo.findings.analysis.scene import Scene, scene_of
@@ -93,6 +99,11 @@ def _evaluated(check: Callable[[_T], Iterator[str]], of: _T) -> list[str]:
 
 def _of_rates(scene: Scene) -> Iterator[str]:
     fastest = None
+    if reason := too_long_a_period(scene.scenario):
+        yield (
+            f"simulation.step: {reason}, so that hs.Controller and exports refuse the scenario; simulations run. "
+            "Take a shorter one for a machine"
+        )
     try:
         fastest = fastest_rate(scene)
     except NotFiniteError as error:

@@ -11,7 +11,7 @@ from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.check_gains import SELDOM, share_of_restarts
 from hexservo.findings.check_gate import moved_between_frames
-from hexservo.findings.target_line import SteadyFilter, longest_behind, steady_line
+from hexservo.findings.target_line import LONGEST_PREDICTION, Piece, SteadyFilter, longest_behind, steady_line
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.laws import Tracking
 from hexservo.scenario.parameters import frame_period
@@ -57,6 +57,9 @@ def _of_motion(scene: Scene, gains: Tracking) -> Iterator[str]:
     moving = velocities[speeds > 0.0]
     if not len(moving):
         return
+    if period > LONGEST_PREDICTION:
+        yield from _of_rare_frames(scene, gains, velocities[int(np.argmax(speeds))])
+        return
     filtered = steady_filter(scene, gains)
     times = filtered.in_deviations(moving, filtered.velocity) / (gains.certainty * math.sqrt(filtered.axes) or 1e-300)
     best = int(np.argmax(times))
@@ -91,6 +94,22 @@ def _of_motion(scene: Scene, gains: Tracking) -> Iterator[str]:
     )
 
 
+def _of_rare_frames(scene: Scene, gains: Tracking, velocity: Array) -> Iterator[str]:
+    """Find a target that is followed by the place of its last frame alone, as the filter begins anew with each."""
+    period, speed = frame_period(scene.scenario), float(np.linalg.norm(velocity))
+    held = (Piece(behind=0.0, share=0.0),)
+    pixels = longest_behind(held, period, _late(scene), gains.bandwidth) * _pixels_of(scene, velocity)
+    if pixels <= scene.band:
+        return
+    yield (
+        f"camera.period: frames are {quantity(period, 's')} apart, and the law's filter begins anew with a frame that "
+        f"comes more than {quantity(LONGEST_PREDICTION, 's')} after the one before, so that it has no velocity of the "
+        f"target, whatever controller.tracking.certainty is: target.motion moves the target at up to "
+        f"{quantity(speed, 'm/s')}, and the place of the last frame is followed, up to about {number(pixels, 2)} px "
+        f"behind; take frames at most {quantity(LONGEST_PREDICTION, 's')} apart, or another law"
+    )
+
+
 def _behind(scene: Scene, gains: Tracking, filtered: SteadyFilter, velocity: Array, speed: float) -> float:
     """Return how far behind a slow target that does not move steadily is followed at most, about [px].
 
@@ -110,8 +129,12 @@ def _behind_steady(scene: Scene, gains: Tracking, filtered: SteadyFilter, veloci
     line = steady_line(filtered, velocity, gains.certainty, period, math.ceil(duration / period))
     if not line.goes_on(duration, period):
         return 0.0
-    late = scenario.camera.latency + scenario.actuators.delay
-    return longest_behind(line.pieces, period, late, gains.bandwidth) * _pixels_of(scene, velocity)
+    return longest_behind(line.pieces, period, _late(scene), gains.bandwidth) * _pixels_of(scene, velocity)
+
+
+def _late(scene: Scene) -> float:
+    """Return the time from an exposure until the legs are where that frame takes them [s]."""
+    return scene.scenario.camera.latency + scene.scenario.actuators.delay
 
 
 def _pixels_of(scene: Scene, shift: Array) -> float:

@@ -17,10 +17,15 @@ from hexservo.findings.analysis.scene import Scene, View, scene_of
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.wording import quantity
 
 _POSE_STEP = 1e-6  # of the finite differences [m; rad]: far below a membership's width, far above rounding
 _TWIST_STEP = 1e-6  # [m/s; rad/s], and at most a thousandth of the switching width
 _ROUNDS = 40  # of the searches for the pose of rest
+
+
+LONGEST_SERVO_PERIOD = 1.0
+"""Time between two ticks that a controller of the core takes at most, `kMaxServoPeriod` [s]."""
 
 
 class NoRestError(ValueError):
@@ -29,6 +34,15 @@ class NoRestError(ValueError):
 
 class NotFiniteError(NoRestError):
     """The law's numbers, or those of the loop, overflow; the message names what does."""
+
+
+def too_long_a_period(scenario: Scenario) -> str:
+    """Return that no controller takes the servo period of a scenario, as a clause; empty where one does."""
+    period = scenario.simulation.step
+    if period <= LONGEST_SERVO_PERIOD:
+        return ""
+    most, found = (quantity(time, "s") for time in (LONGEST_SERVO_PERIOD, period))
+    return f"the servo period of {found} is more than the {most} that a controller takes"
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,9 +109,11 @@ class _Tick:
                 settings[f"controller.{settings.law}.kv"] = 0.0
         mode = settings["simulation.mode"]
         settings["simulation.mode"] = "continuous"  # a frame and a pose at every tick: `image` delays them
+        if reason := too_long_a_period(scenario):
+            raise NoRestError(reason)
         try:
             self.core = _core.Controller(settings, scenario.simulation.step)
-        except ValueError as error:  # all that it refuses in a valid scenario is a wrench that overflows
+        except ValueError as error:  # all else that it refuses in a valid scenario is a wrench that overflows
             raise NotFiniteError(str(error)) from error
         settings["simulation.mode"] = mode
         self.weights = weights
