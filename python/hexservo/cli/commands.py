@@ -57,7 +57,7 @@ app = typer.Typer(
     help="Image-based visual servoing of parallel robots: run scenarios, inspect results.",
     epilog="Exit codes: 0 done, 1 no feasible gains (tune), 2 bad input, 3 a run that ended early (such as "
     "divergence), 4 a run that did not settle (with --require-settled), 130 interrupted.",
-    cls=help_option.Group,
+    cls=help_option.HelpGroup,
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -453,4 +453,4 @@ def _comparison_list(comparison: hs.Comparison) -> RenderableType:
 
 
 for _registered in app.registered_commands:  # all that are above
-    _registered.cls = help_option.Command
+    _registered.cls = help_option.HelpCommand

@@ -9,7 +9,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from hexservo.cli.terminal import write
 
-__all__ = ["Command", "Group"]
+__all__ = ["HelpCommand", "HelpGroup"]
 
 
 def _show(ctx: typer.Context, parameter: object, asked: bool) -> None:
@@ -25,7 +25,7 @@ def _writing(option: Any) -> Any:
     return option
 
 
-class Command(TyperCommand):
+class HelpCommand(TyperCommand):
     """A command."""
 
     def get_help_option(self, ctx: Any) -> Any:
@@ -33,7 +33,7 @@ class Command(TyperCommand):
         return _writing(super().get_help_option(ctx))
 
 
-class Group(TyperGroup):
+class HelpGroup(TyperGroup):
     """All commands together."""
 
     def get_help_option(self, ctx: Any) -> Any:
