@@ -111,7 +111,7 @@ def test_a_prior_keeps_noise_from_the_legs() -> None:
     """The law that the sentence names moves within half of the stroke with ten times the noise."""
     followed = small_tag(10.0)
     (line,) = about(followed, "target: at the start")
-    assert "or the law pbvs, whose prior keeps noise out" in line
+    assert "or a law whose prior keeps noise out" in line
     by_prior = small_tag(10.0, "pbvs")
     assert not about(by_prior, "target: at the start")
     assert hs.metrics(hs.simulate(by_prior))["peak_leg_excursion"] < 0.6 * Scene(by_prior).stroke

@@ -46,7 +46,7 @@ def test_a_run_that_the_user_stops_is_not_judged(command: str, tmp_path: Path, m
 
 
 @pytest.mark.parametrize(
-    ("part", "module"), [("stiction", "analysis.stiction_runs"), ("largest_start", "analysis.largest_start")]
+    ("part", "module"), [("stiction", "analysis.stiction_runs"), ("largest_start", "analysis.settling_runs")]
 )
 def test_an_analysis_does_not_rest_on_runs_that_were_stopped(
     part: str, module: str, monkeypatch: pytest.MonkeyPatch

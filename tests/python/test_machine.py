@@ -232,7 +232,10 @@ def test_a_tag_is_its_corners(paper: hs.Scenario) -> None:
     ("changes", "message"),
     [
         ({"robot.platform_joints": np.zeros((6, 3))}, "robot.platform_joints: expected joints at different places"),
-        ({"robot.platform_joints": np.ones((5, 3))}, "robot.platform_joints: expected 6x3 finite numbers"),
+        (
+            {"robot.platform_joints": np.ones((5, 3))},
+            "robot.platform_joints: expected 6x3 numbers > -1e+06 and < 1e+06",
+        ),
         ({"robot.base_joints": np.ones((6, 3)), "robot.base_radius": 0.2}, "robot.base_radius: expected null beside"),
         ({"robot.home_attitude": [0, 0, 90]}, "robot.home_attitude[2]: expected a number within +-2 pi"),
         (
@@ -327,7 +330,9 @@ def test_the_nearest_reachable_pose_by_brute_force(paper: hs.Scenario) -> None:
             assert travel(wanted) <= stroke
             continue
         assert "out of reach" in str(found)
-        assert travel(found.nearest) <= stroke * (1 + 1e-12)
+        assert travel(found.nearest) <= stroke * (
+            1 + 1e-9
+        )  # `leg_travel` takes legs that are so close to be at the end
         assert travel(found.nearest) >= stroke * (1 - 1e-4)
         assert found.distance == pytest.approx(distance(wanted, found.nearest), rel=1e-9)
         # Poses nearer than that by 0.1 %: towards what was asked for, and in all directions about it.

@@ -62,7 +62,7 @@ def _uncertain(start: Sight, noise: float) -> str:
 def _of_legs(scene: Scene, legs: Array) -> str:
     leg, unit, law = int(legs.argmax()), scene.units.coordinate, scene.scenario.controller.law
     key = key_of_inverse(scene)
-    remedy = f"a larger controller.{law}.{key}" if key else "the law pbvs, whose prior keeps noise out"
+    remedy = f"a larger controller.{law}.{key}" if key else "a law whose prior keeps noise out"
     return (
         f", and where {law} sends leg {leg + 1} by {quantity(float(legs[leg]), unit)}, which has "
         f"{quantity(scene.stroke, unit)} of stroke either way: legs go to the ends of their stroke or beyond, and runs "

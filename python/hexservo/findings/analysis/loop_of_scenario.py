@@ -131,7 +131,7 @@ def require_forces(scenario: Scenario) -> None:
         )
 
 
-@lru_cache(maxsize=16)  # several parts of an analysis ask, one of them with other depth errors too
+@lru_cache(maxsize=64)  # several parts of an analysis ask, one of them for sixteen signs of depth errors too
 def loop_at_rest(scenario: Scenario) -> LoopAtRest:
     """Linearise a scenario's loop where it rests.
 
