@@ -85,7 +85,7 @@ def test_the_prior_of_pbvs_keeps_noise_out(name: str, default: float, released: 
 
 
 def test_the_prior_of_pbvs_keeps_noise_out_of_a_real_machine() -> None:
-    """Without a prior a run amplifies the last digit, so that instruction sets differ: 14.1 to 15.8 px of eight seeds."""
+    """Without a prior a run amplifies the last digit: instruction sets have 14.1 to 15.8 px, of eight seeds."""
     law = hs.load_scenario("real-machine").updated({"controller.law": "pbvs"})
     for prior, expected in (({}, 0.15), ({"controller.pbvs.prior": 0.0}, 15.0)):
         errors = [run(law.updated({**prior, "seed": seed}))[1]["rms_error"] for seed in range(8)]
