@@ -14,6 +14,9 @@ from typing import TYPE_CHECKING, Any
 try:
     from hexservo import _core  # noqa: F401
 except ImportError as error:  # a source tree, or a wheel of another Python
+    interruption = error.__cause__ or error.__context__
+    if isinstance(interruption, KeyboardInterrupt):  # Ctrl-C while the core imported
+        raise interruption from None
     raise ImportError(
         "hexservo: the compiled module hexservo._core is missing or was built for another Python; install the package "
         "(`pip install .` in the source tree) and import it from outside of python/"

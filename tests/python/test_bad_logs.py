@@ -53,7 +53,31 @@ def lines_of(count: int, width: int = 12) -> list[str]:
         ("\n".join([HEAD, *lines_of(60)]).replace("0.3,0.2", "0.3,nan", 1), "line 32, command_1: expected a finite"),
         ("\n".join([HEAD, *(f"{20 * tick}{',0.2' * 12}" for tick in range(60))]), "one every 20: are they in ms?"),
         ("\n".join([HEAD, *lines_of(10)]), "at least 50 ticks"),
-        ("\n".join([HEAD, *lines_of(60)]).replace("\n0.3,", "\n0.37,"), "resample the log"),
+        ("\n".join([HEAD, *lines_of(60)]).replace("\n0.3,", "\n0.309,"), "resample the log"),
+        ("\n".join([HEAD, *lines_of(60)]).replace("\n0.3,", "\n0.37,"), "line 33, time: expected times that increase"),
+        (HEAD.replace(",", ";") + "\n", "got them with semicolons between; write commas between fields"),
+        (HEAD.replace(",", "\t") + "\n", "got them with tabs between; write commas between fields"),
+        (HEAD.upper() + "\n", "got TIME, COMMAND_1, COMMAND_2, "),
+        (HEAD.replace("time", "Time") + "\n", "joint_6, got Time; write the names in lower case"),
+        ("\0".join(f"{HEAD}\n"), "got UTF-16; save the file as UTF-8"),
+        (
+            "\n".join([HEAD, *(line.replace(".", ",") for line in lines_of(60))]),
+            "line 2: expected 13 fields, got 25; a comma separates fields: decimals need a point",
+        ),
+        (
+            "\n".join([HEAD, *lines_of(60)]).replace("0.2", '"0,2"', 1),
+            "line 2, command_1: expected a finite number, got one with a decimal comma",
+        ),
+        ("\n".join([HEAD, *lines_of(60)]).replace("0.2", "0_2", 1), "line 2, command_1: expected a finite number"),
+        ("\n".join([HEAD, *lines_of(60)]).replace("0.2", "\u0662", 1), "line 2, command_1: expected a finite number"),
+        (
+            "\n".join([HEAD, *reversed(lines_of(60))]),
+            "line 3, time: expected times that increase, got 0.58 after 0.59; sort the lines by their times",
+        ),
+        (
+            "\n".join([f"{HEAD},x_1,y_1", *(f"{line},1,2" for line in reversed(lines_of(60)))]),
+            "line 3, time: expected times that increase",
+        ),
         (HEAD + "\n" + '"' + "9" * 200_000 + '"\n', "field larger than field limit"),
     ],
 )
@@ -100,13 +124,23 @@ def test_a_log_in_memory_names_the_frame_on_another_clock() -> None:
         Log(0.01 * np.arange(60.0), 0.01, legs, legs, frames)
 
 
+def test_a_log_in_memory_names_the_tick_out_of_order() -> None:
+    legs = np.full((60, 6), 0.2)
+    time = 0.01 * np.arange(60.0)
+    with pytest.raises(ValueError, match=r"tick 30, time: expected times that increase, got 0.28 after 0.29; sort"):
+        Log(np.where(time == time[30], time[28], time), 0.01, legs, legs, None)
+
+
 def test_special_files_are_refused_at_once(tmp_path: Path) -> None:
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     for path in (pipe, tmp_path, Path("/dev/zero"), tmp_path / "none.csv"):
         with pytest.raises(hs.ScenarioError, match="cannot be read"):
             hs.read_log(path)
-    (tmp_path / "latin.csv").write_bytes(b"\xff\xfe\n")
+    (tmp_path / "wide.csv").write_bytes(HEAD.encode("utf-16"))
+    with pytest.raises(hs.ScenarioError, match="expected UTF-8 text, got UTF-16; save the file as UTF-8"):
+        hs.read_log(tmp_path / "wide.csv")
+    (tmp_path / "latin.csv").write_bytes(b"\xb5\n")
     with pytest.raises(hs.ScenarioError, match="UTF-8"):
         hs.read_log(tmp_path / "latin.csv")
 

@@ -39,6 +39,19 @@ def test_a_campaign_is_run_continued_and_enlarged(tmp_path: Path) -> None:
     assert invoke(*arguments, "--runs", "150", "--quiet") == (0, "", "")
 
 
+def test_the_command_of_the_worst_run_names_its_file_beside_a_changed_one(tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    arguments = ["campaign", "campaign-composite-30hz", "--out", str(folder), *SHORT]
+    assert invoke(*arguments, "--runs", "50", "--quiet")[0] == 0
+    with (folder / "worst-run.yaml").open("a", encoding="utf-8") as file:
+        file.write("# my note\n")
+    code, out, _ = invoke(*arguments, "--runs", "100")
+    assert code == 0
+    named = re.search(r"the run with the smallest margin: hexservo run (\S+)\n", out)
+    assert named is not None
+    assert hs.load_scenario(named[1]) == hs.load_campaign(folder).worst(1)[0].scenario
+
+
 def test_a_short_command_repeats_the_worst_run(tmp_path: Path) -> None:
     lines = "scenario: paper\nvary: {uncertainty.gravity: {uniform: [-0.1, 0.1]}}\nrequire: [outcome == completed]\n"
     (tmp_path / "mass.yaml").write_text(f"{lines}until: {{width_below: 0.9}}\nchunk_size: 2\n", encoding="utf-8")

@@ -379,6 +379,8 @@ REFUSED = [
     ({"require": []}, "require: expected a list of at least one requirement"),
     ({"require": ["setling_time <= 1"]}, r'require\[0\]: unknown metric "setling_time"; did you mean "settling_time"'),
     ({"require": ["settling_time == 1"]}, r'require\[0\]: expected one of <= >= < > for a metric, got "=="'),
+    ({"require": ["settling_time <= 0_2"]}, r'require\[0\]: expected a finite bound \[s\], got "0_2"'),
+    ({"require": ["settling_time <= \u0662"]}, r"require\[0\]: expected a finite bound \[s\]"),
     ({"require": ["settling_time <= fast"]}, r'require\[0\]: expected a finite bound \[s\], got "fast"'),
     ({"require": ["outcome == diverged"]}, r'require\[0\]: expected "outcome == completed"'),
     ({"require": ["overshoot <= 0"]}, r"require\[0\]: expected a scale for a bound of 0"),

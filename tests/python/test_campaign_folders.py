@@ -6,6 +6,7 @@ import os
 import re
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -13,6 +14,7 @@ import pytest
 import hexservo as hs
 from hexservo.campaigns import store
 from hexservo.campaigns.plan import CampaignPlan
+from hexservo.campaigns.search_steps import SearchSteps
 from hexservo.campaigns.store import plan_text, read_plan
 from hexservo.run.publish import OutputError
 from test_campaign_engine import FILE
@@ -177,10 +179,60 @@ def test_a_worst_run_that_a_user_changed_is_kept(tmp_path: Path) -> None:
         assert (out / "worst-run.yaml").read_text(encoding="utf-8") == theirs
     assert len(warnings) == 2
     assert 'worst-run.yaml": expected a file as hexservo wrote it, got a different one, which is kept' in warnings[0]
+    assert re.search(r'; the worst run is in ".*/worst-run-1\.yaml"$', warnings[0])
+    assert (out / "worst-run-1.yaml").read_text(encoding="utf-8") == larger
+    again = hs.campaign(FILE, out, runs=200)
+    assert again.worst_file == out / "worst-run-1.yaml", "an unchanged one is replaced there too"
+    assert not (out / "worst-run-2.yaml").exists()
     plain = larger.partition("\n")[2]  # as earlier versions wrote it
     (out / "worst-run.yaml").write_text(plain, encoding="utf-8")
     hs.campaign(FILE, out, runs=200)
     assert (out / "worst-run.yaml").read_text(encoding="utf-8") == larger
+
+
+def test_a_complete_campaign_is_repeated_without_writing(whole: Path, tmp_path: Path) -> None:
+    """As in a folder that may only be read."""
+    out = tmp_path / "out"
+    shutil.copytree(whole, out)
+    hs.campaign(FILE, out)
+    before = {path: (path.stat().st_ino, path.stat().st_mtime_ns) for path in (out, *out.rglob("*"))}
+    assert hs.campaign(FILE, out).complete
+    assert {path: (path.stat().st_ino, path.stat().st_mtime_ns) for path in (out, *out.rglob("*"))} == before
+
+
+def test_a_place_that_cannot_be_written_is_not_said_to_go_on(tmp_path: Path) -> None:
+    with pytest.raises(OutputError) as refusal:
+        hs.campaign(FILE, tmp_path / ("x" * 300), runs=10)  # a name too long for the file system
+    reason = "got: File name too long; permit writing there, or name another folder"
+    assert str(refusal.value).endswith(f'x": expected a place that can be written, {reason}')
+    (tmp_path / "link").symlink_to("nowhere")
+    with pytest.raises(
+        OutputError, match=r'link": expected a folder, got a symbolic link to "nowhere", which does not'
+    ):
+        hs.campaign(FILE, tmp_path / "link", runs=10)
+
+
+def test_a_chunk_that_cannot_be_read_stays(whole: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(whole, out)
+    chunk = out / "chunks" / "000001.parquet"
+    chunk.unlink()
+    chunk.mkdir()  # the system refuses to read it, also for root
+    (out / "summary.json").unlink()
+    for use in (hs.load_campaign, lambda folder: hs.campaign(FILE, folder)):
+        with pytest.raises(hs.ResultError, match=r'000001\.parquet": cannot be read: Is a directory; permit reading'):
+            use(out)
+    assert chunk.is_dir()
+    assert not (out / "damaged").exists()
+
+
+def test_a_step_of_a_search_that_cannot_be_read_stays(tmp_path: Path) -> None:
+    (tmp_path / "steps" / "000000.step").mkdir(parents=True)
+    warnings: list[str] = []
+    steps: Any = SimpleNamespace(folder=tmp_path, count=0, record={"search": "a"}, warn=warnings.append)
+    with pytest.raises(OutputError, match=r'000000\.step": cannot be read: Is a directory; permit reading it'):
+        SearchSteps.take(steps, {}, dict)
+    assert not warnings
 
 
 def test_a_worst_case_that_a_user_changed_is_kept(whole: Path, tmp_path: Path) -> None:

@@ -144,6 +144,50 @@ def test_the_first_run_is_refused_as_any_other() -> None:
     assert str(one.value).endswith(REMEDY)
 
 
+EACH: dict[str, Any] = {"uniform": [-0.3, 0.3], "each": True}
+DISPLACED: dict[str, Any] = {
+    "target.translation": {"uniform": [-0.005, 0.005], "each": True},
+    "target.rotation": {"uniform": [-0.02, 0.02], "each": True},
+}
+
+
+def displaced(**vary: Any) -> dict[str, Any]:
+    """A campaign of a law that needs the goal pose, with displaced targets."""
+    short = {"simulation.duration": 0.05, "metrics.dwell": 0.01, "metrics.rms_start": 0.0}
+    scenario = hs.load_scenario("reachy-mini-head").updated(short)
+    return {"scenario": scenario, "vary": vary | DISPLACED, "require": REQUIRE[:1], "runs": 60}
+
+
+DEFORMED = r"depth errors of each point deform a target .*: use one depth error of all points .*, or narrow them$"
+
+
+def test_depth_errors_of_each_point_of_a_displaced_target_are_named(tmp_path: Path) -> None:
+    file = displaced(**{"uncertainty.depth": EACH}) | {"stream": 1}  # whose first run is valid
+    with pytest.raises(hs.ScenarioError, match=r"^run \d+ \(.*\): target.desired_features: .*" + DEFORMED) as one:
+        hs.campaign(file, tmp_path / "out", threads=1)
+    message = str(one.value)
+    run = int(re.findall(r"^run (\d+)", message)[0])
+    for key, values in load_plan(file).drawing().numbers(run, run + 1).items():
+        shown = [float(number) for number in re.findall(rf"{re.escape(key)}\[\d\] ([\d.e-]+)[,)]", message)]
+        np.testing.assert_allclose(shown, values[0], rtol=1e-3)
+    with pytest.raises(hs.ScenarioError, match=r"^the draw of uncertainty.depth\[0\] .*" + DEFORMED) as one:
+        hs.sensitivity(load_plan(file), samples=64, threads=1)
+    assert str(one.value).count("uncertainty.depth[0]") == 1
+
+
+@pytest.mark.parametrize("remedy", ["one depth", "no displacement", "narrow"])
+def test_the_remedies_for_depth_errors_of_displaced_targets_help(tmp_path: Path, remedy: str) -> None:
+    depth = {
+        "one depth": {"uniform": [-0.3, 0.3]},
+        "no displacement": EACH,
+        "narrow": {"uniform": [-0.03, 0.03], "each": True},
+    }
+    file = displaced(**{"uncertainty.depth": depth[remedy]})
+    if remedy == "no displacement":
+        file["vary"] = {"uncertainty.depth": EACH}
+    assert hs.campaign(file, tmp_path / "out", threads=1).summary["runs"] == 60
+
+
 @pytest.mark.parametrize("name", ["composite-30hz", "pi-h824-positions"])
 def test_a_key_of_a_grid_takes_listed_numbers(name: str) -> None:
     """These are the keys that refuse a number which is none of their grid."""

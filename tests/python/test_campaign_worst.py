@@ -167,6 +167,28 @@ def test_the_worst_case_of_a_campaign(tmp_path: Path) -> None:
     assert (same.scenario, same.margin) == (case.scenario, case.margin)
 
 
+@pytest.mark.parametrize(
+    ("require", "searches"),
+    [(FILE["require"][1:2], 1), (FILE["require"][:2], 1), (FILE["require"][1:], 3), (FILE["require"], 3)],
+)
+def test_a_search_for_each_metric_needs_two(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, require: list[str], searches: int
+) -> None:
+    """Beside the outcome alone the search for a metric is that for all requirements: the same runs again."""
+    result = hs.campaign(FILE | {"require": require}, tmp_path / "out", runs=3)
+    begun: list[int] = []
+
+    def counted(function: Callable[[Array], Array], start: Array, evaluations: int, seed: int) -> None:
+        function(start[None])
+        begun.append(seed)
+
+    monkeypatch.setattr(worst_case, "smallest_in_box", counted)
+    monkeypatch.setattr(worst_case, "_diagnosed", lambda *of_run: None)
+    case = hs.worst_case(result, runs=9, restarts=2)
+    assert len(begun) == 2 * searches
+    assert len(case.margins) == sum(not one.startswith("outcome") for one in require if len(require) > 1)
+
+
 def test_the_smallest_margins_are_those_of_all_searches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With margins at random the search for all requirements finds smaller ones of some than the search for each."""
     result = hs.campaign(FILE, tmp_path / "out", runs=3)

@@ -13,6 +13,7 @@ import struct
 import subprocess
 import sys
 import termios
+import textwrap
 import threading
 from dataclasses import replace
 from pathlib import Path
@@ -640,7 +641,9 @@ def test_a_closed_pipe_ends_the_output_without_a_traceback(tmp_path: Path, comma
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
-@pytest.mark.parametrize("arguments", [["show", "paper"], pytest.param(["scenarios"], marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "arguments", [["show", "paper"], ["--help"], ["run", "-h"], pytest.param(["scenarios"], marks=pytest.mark.slow)]
+)
 def test_standard_output_on_a_full_disk(tmp_path: Path, arguments: list[str]) -> None:
     with Path("/dev/full").open("wb") as full:
         done = subprocess.run(
@@ -655,6 +658,37 @@ def test_standard_output_on_a_full_disk(tmp_path: Path, arguments: list[str]) ->
         )
     assert done.returncode == 2
     assert done.stderr == "Error: standard output: cannot be written: No space left on device\n"
+
+
+def test_ctrl_c_while_the_core_is_imported_is_no_broken_installation(tmp_path: Path) -> None:
+    """The core's own imports raise it, and the import of the core fails for that."""
+    (tmp_path / "start.py").write_text(
+        textwrap.dedent("""
+            import sys
+
+            class Interrupted:
+                def find_spec(self, name, path=None, target=None):
+                    if name == "hexservo._core":
+                        raise ImportError("initialization failed") from KeyboardInterrupt()
+
+            sys.meta_path.insert(0, Interrupted())
+            try:
+                import hexservo
+            except KeyboardInterrupt:
+                print("Ctrl-C")
+            """),
+        encoding="utf-8",
+    )
+    done = subprocess.run(
+        [sys.executable, "start.py"],
+        cwd=tmp_path,
+        env=environment(),
+        capture_output=True,
+        encoding="utf-8",
+        timeout=60,
+        check=False,
+    )
+    assert (done.stdout, done.stderr) == ("Ctrl-C\n", "")
 
 
 def test_standard_output_that_is_closed(tmp_path: Path) -> None:

@@ -119,6 +119,7 @@ def test_a_recording_becomes_part_of_the_scenario(nominal: hs.Scenario, tmp_path
         ("0,0,0,0\n1,0,0,0\n", "line 1: expected the names of the columns"),
         ("t,ax,ay,az\n0,0,0,0\n1,0,0\n", "line 3: expected 4 numbers, got 3"),
         ("t,ax,ay,az\n0,0,0,0\n\n1,0,zero,0\n", "line 4: ay: expected a finite number, got other text (4 characters)"),
+        ("t,ax,ay,az\n0,0,0,0\n1,0,0_1,0\n", "line 3: ay: expected a finite number, got other text (3 characters)"),
         ("t,ax,ay,az\n0,0,0,0\n1,0,nan,0\n", "line 3: ay: expected a finite number, got other text (3 characters)"),
         ("t,ax,ay,az\n1,0,0,0\n2,0,0,0\n", "line 2: expected t = 0 for the first sample, got 1.0"),
         ("t,ax,ay,az\n0,0,0,0\n1,0,0,0\n1,0,0,0\n", "line 4: expected times that increase"),

@@ -18,7 +18,7 @@ from hexservo.campaigns.engines import Chunk, Engine, engine_of
 from hexservo.campaigns.intervals import runs_for_bound
 from hexservo.campaigns.plan import CampaignPlan, load_plan
 from hexservo.campaigns.result import CampaignResult, is_complete, scenario_of_run, summary_of
-from hexservo.campaigns.store import KeptFileError, ShorterChunkError, Store, new_record
+from hexservo.campaigns.store import WORST, ShorterChunkError, Store, UnreadableError, new_record
 from hexservo.run.progress import ProgressCallback, Report, reported
 from hexservo.run.publish import OutputError, named
 from hexservo.run.sealed import ResultError
@@ -66,7 +66,7 @@ def campaign(
         True draws a bar on standard error; a function is called with (runs done, runs in all) in this thread.
     warn
         Called with a sentence for each damaged chunk, which is computed again, and for a changed ``worst-run.yaml``,
-        which is kept; None: nothing is called.
+        which is kept (the worst run gets a file beside it); None: nothing is called.
     engine
         "local": this process. "dask": a local Dask cluster with one worker for each core; the calling script needs the
         guard ``if __name__ == "__main__"``. ``tcp://host:port``: an existing Dask scheduler. Dask is the extra
@@ -90,6 +90,8 @@ def campaign(
     OutputError
         The folder holds something else or a different campaign, is in use, or cannot be written (a `ValueError`); what
         is whole stays. Dask is not installed, or its scheduler does not answer or has ended.
+    ResultError
+        A chunk is there and cannot be read, as without permission.
     VariantError
         The folder's runs were computed by a compiled variant that this process, or a worker, does not use.
     """
@@ -167,6 +169,8 @@ class _State:
                 table = self.store.read(index)
             except ShorterChunkError:  # the last one of fewer runs
                 continue
+            except UnreadableError:
+                raise
             except ResultError as error:
                 aside = self.store.set_aside(index)
                 self.warn(f"{error}; it is now {named(aside)}, and its runs are computed again")
@@ -203,14 +207,17 @@ class _State:
                 if index >= self.counted:
                     self.store.remove(index)
         self.summarise(now=True)
+        written = None
         if self.tally.worst:
             worst = scenario_of_run(self.plan, self.tally.worst[0][-1])
-            try:
-                self.store.write_worst(worst.to_yaml())
-            except KeptFileError as error:
-                self.warn(f"{error}, and the same command writes the worst run")
+            written = self.store.write_worst(worst.to_yaml())
+            if written.name != WORST:
+                self.warn(
+                    f"{named(self.store.folder / WORST)}: expected a file as hexservo wrote it, got a different one, "
+                    f"which is kept; the worst run is in {named(written)}"
+                )
         summary = summary_of(self.plan, self.store.record, self.tally)
-        return CampaignResult(self.store.folder, self.plan, summary, interrupted=interrupted)
+        return CampaignResult(self.store.folder, self.plan, summary, interrupted, written)
 
 
 # ---- What is computed -----------------------------------------------------------------------------------------------

@@ -118,7 +118,7 @@ def compute_chunk(
             store.base, store.drawing.variations(numbers), "metrics", threads, look, metrics=plan.kept_metrics()
         )
     except ValueError as error:
-        raise refused_draw(error, lambda place: f"run {first + place}") from None
+        raise refused_draw(error, store.base, numbers, lambda place: f"run {first + place}") from None
     table = chunk_table(batch, numbers, first, plan.require)
     return chunk_bytes(table, store.identity(index)), tally_of(table, plan.require, plan.scenario.simulation.duration)
 

@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 
 from hexservo.campaigns.chunks import batch_margins
 from hexservo.campaigns.plan import CampaignPlan
-from hexservo.campaigns.refused import REMEDY, refused_draw, refused_scenario
+from hexservo.campaigns.refused import REMEDY, refused_draw, refused_scenario, shown_numbers
 from hexservo.run.batch import BatchResult, simulate_batch, whole
-from hexservo.run.variations import columns_of
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.wording import number
 
 _NAMED = 12  # numbers of a draw, in a message
 
@@ -63,7 +61,7 @@ class Judge:
                 raise
             remedy = f"{REMEDY}, or the ranges of tune.variables" if gains else REMEDY
             drawn = {**numbers, **(gains or {})}
-            raise refused_draw(error, lambda row: _draw(drawn, row), remedy) from None
+            raise refused_draw(error, self.base, drawn, lambda row: _draw(drawn, row), remedy) from None
         return batch_margins(batch, numbers, self.plan.require), batch
 
     def judged_where_valid(
@@ -117,12 +115,6 @@ def _rows(arrays: Mapping[str, NDArray[Any]], kept: NDArray[np.intp]) -> dict[st
 
 def _draw(numbers: Mapping[str, NDArray[Any]], row: int) -> str:
     """Return the numbers of one draw, as the beginning of a message."""
-    names = {
-        name: column[0 if len(column) == 1 else row]
-        for key, values in numbers.items()
-        if key != "seed"
-        for name, column in columns_of(key, values).items()
-    }
-    shown = [f"{name} {number(float(value), 4)}" for name, value in names.items()]
+    shown = shown_numbers(numbers, row)
     more = [f"{len(shown) - _NAMED} more"] if len(shown) > _NAMED else []
     return f"the draw of {', '.join([*shown[:_NAMED], *more])}"

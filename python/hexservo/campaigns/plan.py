@@ -130,12 +130,14 @@ class CampaignPlan(Block):
         if self.tune is not None and self.tune.corners and not 1 <= drawing.dimension <= _MOST_CORNERS:
             got = f"{drawing.dimension} numbers that vary, which have 2^{drawing.dimension} corners"
             raise refusal((("tune", "over"), f"corners: expected 1 to {_MOST_CORNERS} numbers that vary, got {got}"))
+        numbers = drawing.numbers(0, 1)
         try:
             # of a run too, whose samples would not fit a log: a campaign keeps none
             base = self.scenario.updated({**drawing.base, "simulation.log_every": MOST_LOG_EVERY})
-            checked_variations(base, drawing.variations(drawing.numbers(0, 1)))
+            checked_variations(base, drawing.variations(numbers))
         except ValueError as error:
-            drawn = error if refused_scenario(error) is None else refused_draw(error, lambda place: f"run {place}")
+            of_run = refused_scenario(error) is not None
+            drawn = refused_draw(error, self.scenario, numbers, lambda place: f"run {place}") if of_run else error
             raise refusal(*((("vary",), line) for line in str(drawn).splitlines())) from None
         return self
 

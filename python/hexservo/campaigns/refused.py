@@ -3,12 +3,26 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from hexservo.campaigns.drawing import PLACED
+from hexservo.run.variations import columns_of
+from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.wording import number
 from hexservo.scenario.yaml import ScenarioError
 
 _PLACE = re.compile(r"^scenario (?P<index>[0-9]+): ", re.MULTILINE)
 REMEDY = "narrow or clip what varies"
+_DEPTH, _UNREACHABLE = "uncertainty.depth", "target.desired_features: expected features that some pose gives"
+_ONE_DEPTH = (
+    f"depth errors of each point deform a target that {PLACED[0]} or {PLACED[1]} displaces, and no pose gives the goal "
+    f"image of its assumed points: use one depth error of all points ({_DEPTH} without `each`), leave the displacement "
+    "out, or narrow them"
+)
 
 
 def refused_scenario(error: ValueError) -> int | None:
@@ -17,17 +31,56 @@ def refused_scenario(error: ValueError) -> int | None:
     return None if place is None else int(place["index"])
 
 
-def refused_draw(error: ValueError, named: Callable[[int], str], remedy: str = REMEDY) -> ScenarioError:
+def refused_draw(
+    error: ValueError,
+    scenario: Scenario,
+    numbers: Mapping[str, NDArray[Any]],
+    named: Callable[[int], str],
+    remedy: str = REMEDY,
+) -> ScenarioError:
     """Return an error of a batch of draws with the remedy, and the draw in place of its place in the batch.
 
     Parameters
     ----------
     error
         Of `simulate_batch`, about one of its scenarios.
+    scenario
+        That is varied.
+    numbers
+        That were drawn, as those of `Drawing.numbers`.
     named
         Takes the place of a scenario in the batch, and returns what its draw is called: ``run 17``.
     remedy
         As a clause.
     """
-    lines = [_PLACE.sub(lambda place: f"{named(int(place['index']))}: ", line) for line in str(error).splitlines()]
-    return ScenarioError([f"{line}; {remedy}" for line in lines])
+    lines = []
+    for line in str(error).splitlines():
+        found = _PLACE.match(line)
+        if found is None:
+            lines.append(f"{line}; {remedy}")
+            continue
+        row, problem = int(found["index"]), line[found.end() :]
+        name, clause = named(row), remedy
+        if problem.startswith(_UNREACHABLE) and _deformed(scenario, numbers, row):
+            drawn = shown_numbers({key: numbers[key] for key in (_DEPTH, *PLACED) if key in numbers}, row)
+            if not all(one in name for one in drawn):
+                name = f"{name} ({', '.join(drawn)})"
+            clause = _ONE_DEPTH
+        lines.append(f"{name}: {problem}; {clause}")
+    return ScenarioError(lines)
+
+
+def _deformed(scenario: Scenario, numbers: Mapping[str, NDArray[Any]], row: int) -> bool:
+    """Return whether a draw displaces the target, and has a depth error of each point."""
+    depth = numbers.get(_DEPTH, np.array([scenario.uncertainty.depth]))
+    return any(key in numbers for key in PLACED) and float(np.ptp(depth[0 if len(depth) == 1 else row])) > 0.0
+
+
+def shown_numbers(numbers: Mapping[str, NDArray[Any]], row: int) -> list[str]:
+    """Return the numbers of one draw, without a seed, each with its name."""
+    return [
+        f"{name} {number(float(column[0 if len(column) == 1 else row]), 4)}"
+        for key, values in numbers.items()
+        if key != "seed"
+        for name, column in columns_of(key, values).items()
+    ]

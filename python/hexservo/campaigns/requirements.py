@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from hexservo.run.metrics import METRICS
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.rules import did_you_mean, is_number, refusal, shown_value
+from hexservo.scenario.yaml import decimal
 
 COMPLETED = "completed"
 _COMPARISONS = {"<=": operator.le, ">=": operator.ge, "<": operator.lt, ">": operator.gt}
@@ -213,11 +214,8 @@ def requirement_of(value: Any, units: Mapping[str, str] | None = None) -> Requir
         raise refusal(((), f'unknown {what} "{name}"{hint} known: {", ".join(names)}'))
     if comparison not in _COMPARISONS:
         raise refusal(((), f'expected one of {" ".join(_COMPARISONS)} for a metric, got "{comparison}"'))
-    try:
-        bound = float(text)
-    except ValueError:
-        bound = math.nan
-    if not math.isfinite(bound):
+    bound = decimal(text)
+    if bound is None or not math.isfinite(bound):
         unit = known[name]
         raise refusal(((), f'expected a finite bound [{unit}], got "{text}"'))
     if bound == 0 and scale is None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from hexservo.campaigns.chunks import Tally, tally_of
 from hexservo.campaigns.intervals import clopper_pearson, joint_confidence
 from hexservo.campaigns.plan import MOST_LOG_EVERY, CampaignPlan
-from hexservo.campaigns.store import Store, read_plan
+from hexservo.campaigns.store import Store, UnreadableError, read_plan
 from hexservo.campaigns.words import summary_section
 from hexservo.findings.display import Findings
 from hexservo.run.publish import named
@@ -50,6 +50,7 @@ class CampaignResult(Findings):
     plan: CampaignPlan  # as the folder has it
     summary: dict[str, Any]  # as summary.json: docs/campaigns.md, section 4
     interrupted: bool = False  # Ctrl-C came before it was complete
+    worst_file: Path | None = None  # scenario of the run with the smallest margin; None: loaded, or without runs
 
     def __len__(self) -> int:
         """Return the number of runs."""
@@ -187,7 +188,7 @@ def load_campaign(folder: str | os.PathLike[str]) -> CampaignResult:
     Raises
     ------
     ResultError
-        The folder holds no campaign, or a damaged one.
+        The folder holds no campaign, a damaged one, or a chunk that cannot be read.
     """
     plan, record = read_plan(folder)
     store = Store(folder, plan, record)
@@ -203,6 +204,8 @@ def load_campaign(folder: str | os.PathLike[str]) -> CampaignResult:
     while index in present and not is_complete(plan, tally):
         try:
             table = store.read(index)
+        except UnreadableError:
+            raise
         except ResultError:
             break
         tally.add(tally_of(table, plan.require, plan.scenario.simulation.duration))

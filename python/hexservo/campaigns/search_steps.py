@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexservo.campaigns.plan import CampaignPlan
-from hexservo.campaigns.store import locked, other_format, remove_drafts, require_empty, write_bytes, write_text
+from hexservo.campaigns.store import other_format
+from hexservo.campaigns.writing import locked, remove_drafts, require_empty, write_bytes, write_text
 from hexservo.run.files import output_path
 from hexservo.run.publish import OutputError, named
 from hexservo.scenario.version import VERSION
@@ -119,19 +120,19 @@ class SearchSteps:
         Raises
         ------
         OutputError
-            They cannot be written.
+            They cannot be written, or those that are kept not be read.
         """
         path = self.folder / "steps" / f"{self.count:06d}.step"
         self.count += 1
         digest = hashlib.sha256(f"{self.record['search']} {self.count}".encode())
         _enter(digest, inputs)
         place = digest.digest()
-        if path.exists():
+        if (kept := _read(path)) is not None:
             try:
-                there, results = _unsealed(path.read_bytes())
+                there, results = _unsealed(kept)
                 if there == place:
                     return results
-            except (OSError, ValueError):  # else a step of a search of fewer rounds
+            except ValueError:  # else a step of a search of fewer rounds
                 self.warn(
                     f"{named(path)}: expected the results of this step, got different bytes; they are computed again"
                 )
@@ -141,6 +142,19 @@ class SearchSteps:
         content = file.getvalue()
         write_bytes(path, hashlib.sha256(place + content).digest() + place + content)
         return results
+
+
+def _read(path: Path) -> bytes | None:
+    """Return the bytes of a step; None where it is not kept."""
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise OutputError(
+            f"{named(path)}: cannot be read: {error.strerror}; permit reading it, or move it away to have it simulated "
+            "again"
+        ) from None
 
 
 def _enter(digest: Any, arrays: Mapping[str, NDArray[Any]]) -> None:

@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 import contextlib
-import errno
-import fcntl
 import hashlib
-import itertools
 import json
 import os
 import re
-import secrets
 import socket
-import stat
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hexservo.campaigns.chunks import unsealed_chunk
 from hexservo.campaigns.plan import CampaignPlan
+from hexservo.campaigns.writing import (
+    free_place,
+    locked,
+    refusing,
+    remove_drafts,
+    require_empty,
+    write_beside_kept,
+    write_bytes,
+)
 from hexservo.run.files import output_path
-from hexservo.run.publish import OutputError, named, synchronize
+from hexservo.run.publish import OutputError, named
 from hexservo.run.sealed import ResultError
 from hexservo.scenario.reading import EMPTY_PATH, path_text
 from hexservo.scenario.rules import shown_value
@@ -36,11 +40,8 @@ FORMAT = 2
 """Of a campaign's folder: raised with every change of what a chunk holds."""
 
 PLAN, SUMMARY, WORST = "campaign.yaml", "summary.json", "worst-run.yaml"
-_HEAD = "# Written by hexservo, which replaces it while it is unchanged; SHA-256 of the rest: "  # of scenarios
 _SEAL = "sha256"  # key of the digest of what a file holds beside it
 _CHUNK = re.compile(r"(?P<index>[0-9]{6,})\.parquet")
-_DRAFT = ".hexservo-{name}-{token}.part"  # no file of a user has such a name
-_DRAFTS = re.compile(_DRAFT.replace(".", r"\.").format(name=".+", token="[0-9a-f]{12}"))
 _MAY_CHANGE = (
     "runs",
     "until",
@@ -52,8 +53,8 @@ class ShorterChunkError(ResultError):
     """A chunk has fewer runs than it should: the last one of a campaign that has more runs now."""
 
 
-class KeptFileError(OutputError):
-    """A file that hexservo did not write, or that was changed since, has the name of one to be written."""
+class UnreadableError(ResultError):
+    """A chunk is there and cannot be read: it may be whole."""
 
 
 class Store:
@@ -92,6 +93,8 @@ class Store:
         ------
         ResultError
             It is damaged, or holds other runs than it should. A chunk of a different campaign is an `OutputError`.
+        UnreadableError
+            The system does not give its bytes.
         """
         path = self.path_of(index)
         try:
@@ -100,8 +103,13 @@ class Store:
             raise ResultError(
                 f"{named(path)}: expected a chunk as hexservo wrote it, got a different file: {error}"
             ) from None
-        except OSError as error:
+        except FileNotFoundError as error:
             raise ResultError(f"{named(path)}: cannot be read: {error.strerror}") from None
+        except OSError as error:
+            raise UnreadableError(
+                f"{named(path)}: cannot be read: {error.strerror}; permit reading it, or move it away to have its runs "
+                "computed again"
+            ) from None
         expected = self.identity(index)
         if found.get("campaign") != expected["campaign"]:
             raise OutputError(
@@ -132,7 +140,7 @@ class Store:
             The folder holds something else, or a different campaign; a process writes there now; it cannot be written.
         """
         with locked(self.folder):
-            with _refusing(self.folder):
+            with refusing(self.folder):
                 self._begin()
             yield
 
@@ -207,7 +215,7 @@ class Store:
         """Move a damaged chunk to the folder ``damaged``, out of the way of readers, and return its path."""
         path = self.path_of(index)
         damaged = self.folder / "damaged"
-        with _refusing(damaged):
+        with refusing(damaged):
             damaged.mkdir(exist_ok=True)
             aside = free_place(damaged / path.name)
             path.rename(aside)
@@ -215,7 +223,7 @@ class Store:
 
     def remove(self, index: int) -> None:
         """Remove a chunk."""
-        with _refusing(self.path_of(index)):
+        with refusing(self.path_of(index)):
             self.path_of(index).unlink(missing_ok=True)
 
     def write_summary(self, summary: dict[str, Any]) -> None:
@@ -233,74 +241,9 @@ class Store:
             return None
         return summary if is_whole and summary["campaign"] == self.record["campaign"] else None
 
-    def write_worst(self, text: str) -> None:
-        """Write ``worst-run.yaml``; errors as for `write_scenario`."""
-        write_scenario(self.folder / WORST, text)
-
-
-@contextlib.contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """Make a folder if it is not there, and be its only writer.
-
-    Raises
-    ------
-    OutputError
-        It is a file; a process writes there now; it cannot be made.
-    """
-    if folder.exists() and not folder.is_dir():
-        raise OutputError(f"{named(folder)}: expected a folder, got a file; name another place")
-    with _refusing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            if error.errno in (errno.EWOULDBLOCK, errno.EACCES):
-                raise OutputError(
-                    f"{named(folder)}: expected a folder in which no other process writes; wait for it"
-                ) from None
-            # a file system without locks: the user is the only guard
-        yield
-    finally:
-        os.close(descriptor)
-
-
-def require_empty(folder: Path, owner: str) -> None:
-    """Refuse a folder with anything, hidden or not, but what killed processes left.
-
-    Raises
-    ------
-    OutputError
-        What is there is kept.
-    """
-    if not all(map(_is_draft, folder.iterdir())):
-        raise OutputError(f"{named(folder)}: expected a new folder or that of {owner}, got one with other files")
-
-
-def remove_drafts(folder: Path) -> None:
-    """Remove what killed processes left in a folder.
-
-    Raises
-    ------
-    OutputError
-        It cannot be written.
-    """
-    with _refusing(folder):
-        for entry in folder.iterdir():
-            if _is_draft(entry):
-                entry.unlink()
-
-
-def _is_draft(path: Path) -> bool:
-    """Return whether a path is a file that `write_bytes` had begun when its process was killed."""
-    return _DRAFTS.fullmatch(path.name) is not None and stat.S_ISREG(path.lstat().st_mode)
-
-
-def free_place(path: Path) -> Path:
-    """Return a path, or where something has it the first one with a number after its stem that is free."""
-    numbered = (path.with_name(f"{path.stem}-{number}{path.suffix}") for number in itertools.count(1))
-    return next(place for place in itertools.chain([path], numbered) if not os.path.lexists(place))
+    def write_worst(self, text: str) -> Path:
+        """Write ``worst-run.yaml``, or ``worst-run-1.yaml`` beside one that a user changed, and return its path."""
+        return write_beside_kept(self.folder / WORST, text)
 
 
 def contents(folder: Path) -> list[str]:
@@ -386,109 +329,3 @@ def other_format(path: Path, what: str, expected: int, record: Any) -> str:
     found = record.get("format") if isinstance(record, dict) else None
     got = "a file that names no format" if found is None else f"one of format {shown_value(found)}"
     return f"{named(path)}: expected {what} of format {expected}, got {got}; run it again in a new folder"
-
-
-def require_own(path: Path, is_ours: Callable[[bytes], bool]) -> None:
-    """Refuse a path with anything but a file that `is_ours` recognises by its content; none is accepted.
-
-    Raises
-    ------
-    KeptFileError
-        What is there is kept.
-    """
-    try:
-        is_file = stat.S_ISREG(path.lstat().st_mode)
-        if is_file and is_ours(path.read_bytes()):
-            return
-    except FileNotFoundError:
-        return
-    except OSError as error:
-        raise OutputError(f"{named(path)}: cannot be read: {error.strerror}") from None
-    raise KeptFileError(
-        f"{named(path)}: expected a file as hexservo wrote it, got a different one, which is kept; move it away"
-    )
-
-
-def require_own_scenario(path: Path, text: str = "") -> None:
-    """Refuse a path with a file that `write_scenario` would not replace by a text; errors as for `require_own`."""
-    require_own(path, lambda content: content == text.encode() or _has_seal(content))
-
-
-def write_scenario(path: Path, text: str) -> None:
-    """Write a scenario into a campaign's folder, in place of one that was not changed since, which its head shows.
-
-    Raises
-    ------
-    KeptFileError
-        There is a file that hexservo did not write, or that was changed since; it stays.
-    OutputError
-        It cannot be written.
-    """
-    require_own_scenario(path, text)
-    write_text(path, f"{_HEAD}{hashlib.sha256(text.encode()).hexdigest()}\n{text}")
-
-
-def _has_seal(content: bytes) -> bool:
-    """Return whether the head of a scenario has the digest of the rest."""
-    head, _, rest = content.partition(b"\n")
-    return head == f"{_HEAD}{hashlib.sha256(rest).hexdigest()}".encode()
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a file of a campaign's folder, in place of an earlier one.
-
-    Raises
-    ------
-    OutputError
-        It cannot be written.
-    """
-    write_bytes(path, text.encode())
-
-
-def write_beside(path: Path, text: str) -> None:
-    """Write a file of a campaign's folder; one of a different text gets a number, since it may have a user's changes.
-
-    Raises
-    ------
-    OutputError
-        It cannot be written, or the other one not be renamed.
-    """
-    content = text.encode()
-    with _refusing(path):
-        if os.path.lexists(path) and not (path.is_file() and path.read_bytes() == content):
-            path.rename(free_place(path))
-    write_bytes(path, content)
-
-
-def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file beside its place, have it on the disk, and give it its name; its folder is made.
-
-    Raises
-    ------
-    OutputError
-        It cannot be written.
-    """
-    draft = path.with_name(_DRAFT.format(name=path.name, token=secrets.token_hex(6)))
-    with _refusing(path):
-        path.parent.mkdir(exist_ok=True)
-        try:
-            with draft.open("xb") as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
-            draft.replace(path)
-        except BaseException:
-            draft.unlink(missing_ok=True)
-            raise
-        synchronize(path.parent)
-
-
-@contextlib.contextmanager
-def _refusing(path: Path) -> Iterator[None]:
-    """Convert errors of the system to a sentence."""
-    try:
-        yield
-    except OSError as error:
-        raise OutputError(
-            f"{named(path)}: cannot be written: {error.strerror}; what is whole stays; the same command goes on"
-        ) from error

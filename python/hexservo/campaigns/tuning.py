@@ -20,10 +20,11 @@ from hexservo.campaigns.engine import campaign
 from hexservo.campaigns.plan import CampaignPlan, load_plan
 from hexservo.campaigns.result import CampaignResult
 from hexservo.campaigns.search_steps import SearchSteps
-from hexservo.campaigns.store import PLAN, free_place, read_plan, require_own_scenario, write_beside, write_scenario
+from hexservo.campaigns.store import PLAN, read_plan
 from hexservo.campaigns.strategies import best_candidate, front_of, relax
 from hexservo.campaigns.tune_result import Edge, FrontPoint, Generation, Relaxation, TuneResult
 from hexservo.campaigns.worst_case import MAX_SEED
+from hexservo.campaigns.writing import free_place, require_own_scenario, write_beside, write_scenario
 from hexservo.findings.evidence import as_data
 from hexservo.run.progress import ProgressCallback, reporting
 from hexservo.run.publish import OutputError, named

@@ -14,8 +14,9 @@ from hexservo.campaigns.judging import Judge
 from hexservo.campaigns.refused import REMEDY
 from hexservo.campaigns.requirements import Requirement, ranks_of, run_margins
 from hexservo.campaigns.result import CampaignResult, command_with_changes, scenario_and_changes
-from hexservo.campaigns.store import WORST, require_own_scenario, write_scenario
+from hexservo.campaigns.store import WORST
 from hexservo.campaigns.words import of_common_noise
+from hexservo.campaigns.writing import require_own_scenario, write_scenario
 from hexservo.findings.diagnosis import diagnose
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Column, Section, Table, picked
@@ -103,17 +104,18 @@ def worst_case(
 
     The case is written to ``worst-case.yaml`` in the campaign's folder, in place of an earlier one that is unchanged.
 
-    CMA-ES (Hansen 2016) minimises the margin of all requirements together, and of each by itself, from the campaign's
-    worst runs. The box is that of the distributions: 3 standard deviations for a normal one without a clip. Its points
-    that are no valid scenario are left out, and counted. Seeds are those of the run from which a search begins.
+    CMA-ES (Hansen 2016) minimises the margin of all requirements together, and where several metrics are required that
+    of each by itself, from the campaign's worst runs. The box is that of the distributions: 3 standard deviations for a
+    normal one without a clip. Its points that are no valid scenario are left out, and counted. Seeds are those of the
+    run from which a search begins.
 
     Parameters
     ----------
     result
         A campaign with runs.
     runs
-        To simulate for each search, at least 1. One search is for all requirements together, and one for each if there
-        are several.
+        To simulate for each search, at least 1. One search is for all requirements together, and one for each metric
+        where several are required.
     restarts
         Worst runs of the campaign from which each search begins, which share its `runs`; at least 1.
     seed
@@ -164,9 +166,10 @@ def worst_case(
 
         smallest_in_box(smallest, drawing.shares(begin), runs // len(starts), seed + 1 + begin)
 
-    # a run that does not complete fails every requirement
-    alone = [column for column, one in enumerate(plan.require) if one.name != "outcome" and len(plan.require) > 1]
-    for columns in (range(len(plan.require)), *([column] for column in alone)):
+    # A run that does not complete fails every requirement: one metric beside the outcome is searched with it.
+    metrics = [column for column, one in enumerate(plan.require) if one.name != "outcome" and len(plan.require) > 1]
+    alone = [[column] for column in metrics] if len(metrics) > 1 else []
+    for columns in (range(len(plan.require)), *alone):
         for begin in starts:
             search(columns, begin)
     law, margin = judge.base.controller.law, rank[0]
@@ -179,7 +182,7 @@ def worst_case(
         scenario,
         result.folder / CASE,
         margin,
-        tuple((str(plan.require[column]), float(least[column])) for column in alone),
+        tuple((str(plan.require[column]), float(least[column])) for column in metrics),
         float(result.summary["worst"][0]["margin"]),
         tuple(drawing.outside(starts[0])),
         judge.runs,

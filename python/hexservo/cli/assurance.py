@@ -221,7 +221,8 @@ def _report(result: hs.CampaignResult, out: str, elapsed: float) -> Iterator[Ren
         command = result.command(result.worst(1)[0].index)
         short = len(command) <= _LONGEST_COMMAND and len(command.split()) > _WORDS_OF_A_FILE
         yield Text("")
-        command = command if short else f"hexservo run {shlex.quote(f'{out}/worst-run.yaml')}"
+        if not short and result.worst_file is not None:
+            command = f"hexservo run {shlex.quote(f'{out}/{result.worst_file.name}')}"
         yield Text(f"the run with the smallest margin: {command}")
     *names, last = contents(result.folder)
     yield Text(f"{', '.join(names)} and {last} are in {out} ({spell_time(elapsed)})", style="dim")

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import hexservo as hs
-from hexservo.cli import assurance, evidence, explore, export, identify, keys, machine, terminal
+from hexservo.cli import assurance, evidence, explore, export, help_option, identify, keys, machine, terminal
 from hexservo.cli.print_sections import installed_place
 from hexservo.cli.terminal import (
     GAP,
@@ -57,6 +57,7 @@ app = typer.Typer(
     help="Image-based visual servoing of parallel robots: run scenarios, inspect results.",
     epilog="Exit codes: 0 done, 1 no feasible gains (tune), 2 bad input, 3 a run that ended early (such as "
     "divergence), 4 a run that did not settle (with --require-settled), 130 interrupted.",
+    cls=help_option.HelpGroup,
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -449,3 +450,7 @@ def _comparison_list(comparison: hs.Comparison) -> RenderableType:
         lines.append(f"{row.scenario.name}, {row.law}: {row.verdict}")
         lines += [f"  {column.head}: {text}" for column, text in zip(COLUMNS, texts, strict=True)]
     return Text("\n".join(lines))
+
+
+for _registered in app.registered_commands:  # all that are above
+    _registered.cls = help_option.HelpCommand

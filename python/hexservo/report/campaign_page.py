@@ -11,7 +11,7 @@ from hexservo.campaigns.distributions import Variation
 from hexservo.campaigns.drawing import with_unit
 from hexservo.campaigns.pictures import campaign_sections
 from hexservo.campaigns.result import CampaignResult
-from hexservo.campaigns.store import require_own, write_bytes, write_text
+from hexservo.campaigns.writing import require_own, write_bytes, write_text
 from hexservo.draw.evidence import item_figure
 from hexservo.draw.style import image_bytes
 from hexservo.findings.evidence import Column, Section, Table

@@ -14,7 +14,7 @@ from hexservo import _core
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.reading import path_text
 from hexservo.scenario.rotations import quaternion_of, quaternion_product
-from hexservo.scenario.yaml import ScenarioError, read_text
+from hexservo.scenario.yaml import ScenarioError, decimal, read_text
 
 MAX_SAMPLES = 10_000
 """Most samples of a recording: a scenario holds them itself, whose file can still be read (`yaml.MAX_BYTES`)."""
@@ -207,10 +207,7 @@ def _columns(
 
 
 def _number(line: int, column: str, cell: str) -> float:
-    try:
-        value = float(cell)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
+    value = decimal(cell)
+    if value is None or not math.isfinite(value):
         raise _LineError(line, f"{column}: expected a finite number, got other text ({len(cell)} characters)")
     return value

@@ -15,6 +15,7 @@ from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, cor
 
 from hexservo import _core
 from hexservo.scenario.recording import MAX_SAMPLES
+from hexservo.scenario.yaml import decimal
 
 __all__ = ["Matrix", "Vector"]
 
@@ -398,11 +399,7 @@ def is_number(value: Any) -> bool:
 
 
 def _is_number_text(value: str) -> bool:
-    try:
-        float(value)
-    except ValueError:
-        return False
-    return True
+    return decimal(value.strip()) is not None
 
 
 def _tuples(value: list[Any], shape: tuple[int, ...], accept: Callable[[Any], float], rule: Rule) -> Any:

@@ -36,6 +36,8 @@ _STR = "tag:yaml.org,2002:str"
 _SEQ = "tag:yaml.org,2002:seq"
 _MAP = "tag:yaml.org,2002:map"
 
+_DECIMAL = r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?"
+
 # YAML 1.2.2, section 10.3.2 (core schema), in the order of its table; with the characters a scalar may start with.
 _CORE_SCHEMA: tuple[tuple[str, re.Pattern[str], list[str]], ...] = (
     (_NULL, re.compile(r"(?:null|Null|NULL|~|)\Z"), ["n", "N", "~", ""]),
@@ -43,10 +45,7 @@ _CORE_SCHEMA: tuple[tuple[str, re.Pattern[str], list[str]], ...] = (
     (_INT, re.compile(r"(?:[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+)\Z"), list("-+0123456789")),
     (
         _FLOAT,
-        re.compile(
-            r"(?:[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?"
-            r"|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))\Z"
-        ),
+        re.compile(rf"(?:{_DECIMAL}|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))\Z"),
         list("-+.0123456789"),
     ),
 )
@@ -136,6 +135,15 @@ class _RefusedError(Exception):
 
 def _line(place: yaml.Node | yaml.Event) -> int:
     return 0 if place.start_mark is None else place.start_mark.line + 1
+
+
+def decimal(text: str) -> float | None:
+    """Return the number that a text is in the decimal form of YAML, as 1, .5 or 1e-6; None for any other text.
+
+    Python's own conversion reads more: 0_2 as 2, digits of every script, inf and nan. A number beyond double precision
+    is infinite.
+    """
+    return float(text) if re.fullmatch(_DECIMAL, text) else None
 
 
 def load_yaml(text: str, source: str | None = None) -> Plain:

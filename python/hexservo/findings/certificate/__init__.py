@@ -102,7 +102,9 @@ def certify(result: Result) -> Certificate:
             assumption = assumption_of(run, uncertainty)
             lyapunov = lyapunov_of(run, uncertainty, assumption)
         except ArithmeticError as error:
-            open_questions |= dict.fromkeys(("lyapunov", "assumption"), f"No best weights: {error}.")
+            open_questions |= dict.fromkeys(
+                ("lyapunov", "assumption"), f"The uncertainty could not be computed: {error}."
+            )
     energy: EnergyLedger | None = None
     if reason := _not_certified(run):
         open_questions["energy"] = reason

@@ -36,6 +36,7 @@ class BatchCertificate(Part):
     eta: Array = field(repr=False)  # (n, 6), eta_Delta [N; N m]; NaN where it is not known
     margin: Array = field(repr=False)  # (n, 6), k_v - eta_Delta [N; N m]; likewise
     held_by_axis: Mask = field(repr=False)  # (n, 6), whether it held, but for rounding; false where it is not known
+    decided_by_axis: Mask = field(repr=False)  # (n, 6), whether that is known
 
     def __len__(self) -> int:
         """Return the number of scenarios."""
@@ -43,13 +44,18 @@ class BatchCertificate(Part):
 
     @property
     def finished(self) -> Mask:
-        """(n,), runs that were run to their end and whose best weights were found."""
-        return np.asarray(np.isfinite(self.eta).all(axis=1))
+        """(n,), runs that were run before Ctrl-C."""
+        return np.asarray(self.outcome != "interrupted")
 
     @property
     def held(self) -> Mask:
         """(n,), whether the assumption held on all six axes; false where it is not known."""
         return np.asarray(self.held_by_axis.all(axis=1))
+
+    @property
+    def decided(self) -> Mask:
+        """(n,), whether that is known: it held on all six axes, or did not on one of them."""
+        return np.asarray(self.held | (self.decided_by_axis & ~self.held_by_axis).any(axis=1))
 
     @property
     def settled(self) -> Mask:
@@ -58,12 +64,12 @@ class BatchCertificate(Part):
 
     @property
     def counts(self) -> NDArray[np.intp]:
-        """(2, 2), finished runs: row 0 where the assumption held, row 1 where not; column 0 settled, column 1 not."""
-        done = self.finished
+        """(3, 2), finished runs: rows held, not held, undecided; column 0 settled, column 1 not."""
+        rows = (self.held, self.decided & ~self.held, ~self.decided)
         return np.array(
             [
-                [np.count_nonzero(done & (self.held == held) & (self.settled == settled)) for settled in (True, False)]
-                for held in (True, False)
+                [np.count_nonzero(self.finished & row & (self.settled == settled)) for settled in (True, False)]
+                for row in rows
             ]
         )
 
@@ -119,14 +125,15 @@ def certify_batch(
             raise ValueError(f"scenario {index}: robot: expected the body of the paper, got another: {reason}")
     outcome = np.full(count, "interrupted", dtype="<U16")
     settling_time, eta, margin = np.full(count, np.nan), np.full((count, 6), np.nan), np.full((count, 6), np.nan)
-    held = np.zeros((count, 6), dtype=bool)
+    held, decided = np.zeros((count, 6), dtype=bool), np.zeros((count, 6), dtype=bool)
     with contextlib.suppress(KeyboardInterrupt), reporting(progress, "runs certified") as report:
         for index, varied in enumerate(scenarios):
             result = every_step(varied)
             run = replay_of(result, varied, result.end_time)
-            with contextlib.suppress(ArithmeticError):  # no best weights: the run has no verdict
+            with contextlib.suppress(ArithmeticError):  # a weight too large for numbers: undecided
                 assumption = assumption_of(run, uncertainty_of(run, Plant.of(run)), smallest=False)
-                eta[index], margin[index], held[index] = assumption.eta, assumption.margin, assumption.held
+                eta[index], margin[index] = assumption.eta, assumption.margin
+                held[index], decided[index] = assumption.held, assumption.decided
             outcome[index], settling_time[index] = result.outcome, metrics(result)["settling_time"]
             report(index + 1, count)
-    return BatchCertificate(scenario, arrays, outcome, settling_time, eta, margin, held)
+    return BatchCertificate(scenario, arrays, outcome, settling_time, eta, margin, held, decided)

@@ -62,7 +62,7 @@ class Assumption(Part):
     """Whether k_v,j >= eta_Delta,j held along a run, axis by axis."""
 
     kv: Array  # (6,) [N; N m]
-    eta: Array  # (6,), eta_Delta: largest |gamma_j| with the best weights [N; N m]
+    eta: Array  # (6,), eta_Delta: largest |gamma_j| with the best weights that were found [N; N m]
     lower_bound: Array  # (6,), no weights within the limit have a smaller one [N; N m]
     largest: Array  # (6,), largest |Delta-tau_j| [N; N m]
     instants: Array  # (6,), when |gamma_j| is largest [s]
@@ -78,8 +78,16 @@ class Assumption(Part):
 
     @property
     def held(self) -> Mask:
-        """(6,), whether the axis kept the assumption, but for rounding."""
+        """(6,), whether the axis kept the assumption, but for rounding; false also where that is not decided."""
         return np.asarray(self.margin >= -self.rounding)
+
+    @property
+    def decided(self) -> Mask:
+        """(6,), whether it is known: false where the program was not solved, and k_v is between bound and error."""
+        if self.weights is None:
+            return np.ones(6, dtype=bool)
+        solved = np.array([best.solved for best in self.weights])
+        return np.asarray(solved | self.held | (self.kv < self.lower_bound - self.rounding))
 
     @property
     def ideal(self) -> Array:
@@ -96,11 +104,6 @@ def assumption_of(run: Replay, uncertainty: DeltaTau, *, smallest: bool = True) 
     ----------
     smallest
         Whether ties between weights matter: without, the error is the same, to the part that counts as a tie.
-
-    Raises
-    ------
-    ArithmeticError
-        Where the solver of the linear programs gives up.
     """
     gains = gains_of(run.settings)
     kv = gains.kv

@@ -14,15 +14,8 @@ PAGE = "docs/certificate/assumption.md"
 
 def section(found: Assumption) -> Section:
     """Return sentences, a table by axis, and gamma over time."""
-    failed = np.flatnonzero(~found.held)
-    if len(failed) == 0:
-        axis = int(np.argmin(found.margin / np.where(found.kv > 0, found.kv, 1.0)))
-        sentences = [
-            f"The theorem's assumption k_v >= eta_Delta held on all six axes at the samples of this run; it was "
-            f"closest on {AXES[axis]}, where an error of {found.eta[axis]:.3g} {UNITS[axis]} is compared with "
-            f"k_v = {found.kv[axis]:.3g} {UNITS[axis]}."
-        ]
-    else:
+    failed, unknown = np.flatnonzero(found.decided & ~found.held), np.flatnonzero(~found.decided)
+    if len(failed):
         axis = int(failed[np.argmax(found.eta[failed] / np.maximum(found.kv[failed], np.finfo(float).tiny))])
         sentences = [
             f"The theorem's assumption k_v >= eta_Delta did not hold on {len(failed)} of 6 axes "
@@ -30,6 +23,19 @@ def section(found: Assumption) -> Section:
             f"{found.eta[axis]:.3g} {UNITS[axis]} at t = {found.instants[axis]:.4g} s is compared with "
             f"k_v = {found.kv[axis]:.3g} {UNITS[axis]}."
         ]
+    elif len(unknown):
+        sentences = [
+            f"The theorem's assumption k_v >= eta_Delta held on {6 - len(unknown)} of 6 axes at the samples of this "
+            f"run, and is undecided on {', '.join(AXES[j] for j in unknown)}."
+        ]
+    else:
+        axis = int(np.argmin(found.margin / np.where(found.kv > 0, found.kv, 1.0)))
+        sentences = [
+            f"The theorem's assumption k_v >= eta_Delta held on all six axes at the samples of this run; it was "
+            f"closest on {AXES[axis]}, where an error of {found.eta[axis]:.3g} {UNITS[axis]} is compared with "
+            f"k_v = {found.kv[axis]:.3g} {UNITS[axis]}."
+        ]
+    sentences += _unsolved(found)
     if found.weights is None:
         sentences.append("No fuzzy systems act: gamma is Delta-tau itself.")
     else:
@@ -55,7 +61,7 @@ def section(found: Assumption) -> Section:
             (Column("largest |Delta-tau|"), lambda j: float(found.largest[j])),
             (Column("eta_Delta"), lambda j: float(found.eta[j])),
             (Column("margin"), lambda j: float(found.margin[j])),
-            (Column("held"), lambda j: "yes" if found.held[j] else "no"),
+            (Column("held"), lambda j: ("yes" if found.held[j] else "no") if found.decided[j] else "undecided"),
             (Column("largest at", "s"), lambda j: float(found.instants[j])),
             (Column("norm of w*"), lambda j: norms[j]),
         ],
@@ -78,7 +84,7 @@ def section(found: Assumption) -> Section:
         items=(table, curves) if curves.lines else (table,),
         verdict="good" if bool(found.held.all()) else "warning",
         data={
-            **picked(found, "kv eta lower_bound margin held"),
+            **picked(found, "kv eta lower_bound margin held decided"),
             "held_on_all_axes": bool(found.held.all()),
             "largest_uncertainty": found.largest,
             "time_of_largest_error": found.instants,
@@ -87,3 +93,15 @@ def section(found: Assumption) -> Section:
             "best_weights": found.ideal,
         },
     )
+
+
+def _unsolved(found: Assumption) -> list[str]:
+    """Return what is known of each axis whose best weights the solver did not find."""
+    return [
+        f"The linear program for the best weights on {AXES[j]} was not solved to its end: eta_Delta is between "
+        f"{found.lower_bound[j]:.3g} and {found.eta[j]:.3g} {UNITS[j]}, where k_v = {found.kv[j]:.3g} {UNITS[j]} "
+        f"{'is outside, which decides' if found.decided[j] else 'is inside, which leaves it open'}; "
+        "gamma and V are those of the best weights that were found."
+        for j, best in enumerate(found.weights or ())
+        if not best.solved
+    ]

@@ -6,6 +6,8 @@ weights come as close to a target as one set of weights can over all samples, in
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +22,7 @@ TIE = 1e-6
 """Weights count as tied whose error is larger than the smallest one by no more than this part of it."""
 
 _FLOOR = 1e-9  # errors below this part of the largest target count as zero
+_AGREE, _NOTHING = 1e-5, 1e-7  # parts of the error, and of the largest target, within which error and bound agree
 # How the linear programs are solved: presolve, method, feasibility. The first is the fastest; where columns of the
 # basis are nearly dependent it may fail. `_Problem.bound_of` bounds the error of any solution.
 _ATTEMPTS = (
@@ -32,19 +35,20 @@ _ATTEMPTS = (
 _FIRST = 120  # samples that the first program sees
 _MORE = 40  # at most that many join before the next one
 _APART = 1e-20  # squared sine of the angle from which a constraint counts as independent of others
-_ROUNDS = 60  # of the linear program; a handful is usual
+_FEW = 10  # rounds of the linear program; a handful is usual. From then on twice as many join each time: all at last
 _STEPS = 2000  # of the second program; one or two hundred are usual
 
 
 @dataclass(frozen=True, eq=False)
 class BestWeights:
-    """Weights of smallest norm that minimise the largest error, with a lower bound of the error."""
+    """Weights of smallest norm that minimise the largest error, with a lower bound of the smallest error."""
 
     weights: Array  # (p,), in units of the target
     error: float  # largest |target - basis @ weights| over all samples
     lower_bound: float  # no weights within the limit do better: from the dual of the linear program
     limit: float  # that the weights had to keep
     limited: bool  # the limit keeps the error from being smaller
+    solved: bool  # error and lower bound agree; otherwise the solver gave up, and the smallest error is between them
 
 
 def best_weights(basis: Array, target: Array, limit: float | None = None, *, smallest: bool = True) -> BestWeights:
@@ -70,8 +74,6 @@ def best_weights(basis: Array, target: Array, limit: float | None = None, *, sma
     ------
     ValueError
         For arrays of other shapes, numbers that are not finite, and a limit that is not positive.
-    ArithmeticError
-        Where the solver of the linear program gives up.
     """
     if basis.ndim != 2 or target.shape != basis.shape[:1] or len(target) == 0:
         raise ValueError(f"basis: expected (n, p) with a target of (n,), n > 0, got {basis.shape} and {target.shape}")
@@ -83,19 +85,28 @@ def best_weights(basis: Array, target: Array, limit: float | None = None, *, sma
     relative = LIMIT if limit is None or limit > LIMIT * scale else float(limit) / scale if scale > 0.0 else 0.0
     largest = relative * scale
     if scale == 0.0:  # nothing to approximate
-        return BestWeights(np.zeros(basis.shape[1]), 0.0, 0.0, largest, limited=False)
+        return BestWeights(np.zeros(basis.shape[1]), 0.0, 0.0, largest, limited=False, solved=True)
     problem = _Problem(np.ascontiguousarray(basis), target / scale, relative)
     weights, dual = problem.closest()
     if smallest:
         weights = problem.smallest(weights)
     lower_bound, price = problem.bound_of(dual)
+    lower_bound = max(0.0, lower_bound)
+    error = float(np.abs(problem.target - problem.basis @ weights).max())
     return BestWeights(
         weights=weights * scale,
-        error=float(np.abs(problem.target - problem.basis @ weights).max()) * scale,
-        lower_bound=max(0.0, lower_bound) * scale,
+        error=error * scale,
+        lower_bound=lower_bound * scale,
         limit=largest,
         limited=price > 1e-5 * max(lower_bound, _FLOOR),
+        solved=error - lower_bound <= _AGREE * error + _NOTHING,
     )
+
+
+def _joining() -> Iterator[int]:
+    """Return how many samples join after each round of the linear program."""
+    yield from itertools.repeat(_MORE, _FEW)
+    yield from (_MORE << doubled for doubled in itertools.count(1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,20 +118,32 @@ class _Problem:
     limit: float
 
     def closest(self) -> tuple[Array, Array]:
-        """Solve the linear program; give weights, and (n,) multipliers: positive where the target is above."""
+        """Solve the linear program; give weights, and (n,) multipliers: positive where the target is above.
+
+        Where the solver gives up: the weights of smallest error over all samples, and the multipliers of largest lower
+        bound, of those that it found before. They enclose the smallest error.
+        """
         chosen = np.zeros(len(self.target), dtype=bool)
         chosen[self._spread(_FIRST)] = True
-        for _ in range(_ROUNDS):
-            weights, multipliers, error = self._program(self.basis[chosen], self.target[chosen])
-            new = self._violated(weights, error * (1 + TIE / 10) + _FLOOR / 10, chosen)
-            if len(new) == 0:
+        best, smallest = np.zeros(self.basis.shape[1]), 1.0
+        dual, bound = np.zeros(len(self.target)), 0.0
+        for more in _joining():
+            try:
+                weights, multipliers, error = self._program(self.basis[chosen], self.target[chosen])
+            except ArithmeticError:
                 break
+            beyond = np.abs(self.target - self.basis @ weights)
+            latest = np.zeros(len(self.target))
+            latest[chosen] = multipliers
+            if beyond.max() < smallest and np.abs(weights).max() <= self.limit * (1 + _FLOOR):
+                best, smallest = weights, float(beyond.max())
+            if (value := self.bound_of(latest)[0]) >= bound:
+                dual, bound = latest, value
+            new = self._joining_next(beyond, error * (1 + TIE / 10) + _FLOOR / 10, chosen, more)
+            if len(new) == 0:
+                return weights, dual
             chosen[new] = True
-        dual = np.zeros(len(self.target))
-        if len(new) == 0:
-            dual[chosen] = multipliers
-            return weights, dual
-        raise ArithmeticError("the linear program for the best weights did not end")
+        return best, dual
 
     def _program(self, basis: Array, target: Array) -> tuple[Array, Array, float]:
         """Solve the program of some samples through its dual, which has a row per weight and not per sample.
@@ -213,14 +236,18 @@ class _Problem:
                 normals, forces = np.delete(normals, dropped, axis=1), np.delete(forces, dropped)
         return start
 
-    def _violated(self, weights: Array, error: float, chosen: Mask) -> NDArray[np.intp]:
-        """Return the samples of largest error beyond a value, not yet chosen: first one of each group of neighbours."""
-        beyond = np.abs(self.target - self.basis @ weights)
+    def _joining_next(self, beyond: Array, error: float, chosen: Mask, most: int) -> NDArray[np.intp]:
+        """Return the samples that join: none where no error is beyond a value, else those of the largest errors.
+
+        First the largest of each group of neighbours, then the others, whose constraints are nearly those of the first.
+        """
         wrong = (beyond > error * (1 + _FLOOR) + 1e-13) & ~chosen
+        if not wrong.any():
+            return np.empty(0, dtype=np.intp)
         padded = np.r_[-np.inf, beyond, -np.inf]
         peak = wrong & (beyond >= padded[:-2]) & (beyond >= padded[2:])
-        new = np.flatnonzero(peak if peak.any() else wrong)
-        return np.asarray(new[np.argsort(-beyond[new], kind="stable")][:_MORE])
+        new = np.flatnonzero(~chosen)
+        return np.asarray(new[np.lexsort((-beyond[new], ~peak[new]))][:most])
 
     def _spread(self, count: int) -> NDArray[np.intp]:
         """Select samples evenly along the path of basis and target, most of which a run covers in a short time."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import math
 import os
+import re
 import stat
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,7 +19,7 @@ from hexservo.scenario.arrays import Array, real_numbers
 from hexservo.scenario.fields import described
 from hexservo.scenario.reading import EMPTY_PATH, path_text
 from hexservo.scenario.wording import wrong_type
-from hexservo.scenario.yaml import ScenarioError
+from hexservo.scenario.yaml import ScenarioError, decimal
 
 MAX_ROWS = 1_000_000
 MAX_BYTES = 500_000_000
@@ -36,6 +37,9 @@ _BEYOND = 0.5  # [s]: most that a frame may be before the first tick or after th
 _LEAST_ADVANCE = 0.1  # of the time between the first and the last arrival: least between their exposures
 _TIME, _EXPOSURE, _ARRIVAL = "time", "exposure", "arrival"
 _LEGS = tuple(range(1, 7))
+_SEPARATORS = {";": "semicolons", "\t": "tabs"}  # that other programs write between columns
+_UTF_16 = (b"\xff\xfe", b"\xfe\xff")  # byte-order marks
+_DECIMAL_COMMA = re.compile(r"[-+]?[0-9]*,[0-9]+(?:[eE][-+]?[0-9]+)?")
 _REQUIRED = (_TIME, *(f"{name}_{leg}" for name in ("command", "joint") for leg in _LEGS))  # columns
 
 
@@ -116,6 +120,9 @@ class Log:
             raise ValueError(f"time: expected at least {_FEWEST} ticks, got {count}")
         if not np.isfinite(self.time).all():
             raise ValueError("time: expected finite numbers, got others")
+        if fault := _fault_of_order(self.time):
+            tick, words = fault
+            raise ValueError(f"tick {tick}, time: {words}; sort the ticks by their times")
         if self.period > _LONGEST:
             raise ValueError(
                 f"time: expected seconds, with ticks of at most {_LONGEST} s, got one every {self.period:.6g}: are "
@@ -174,6 +181,15 @@ def _make_arrays(record: Frames | Log, names: Sequence[str]) -> None:
         if numbers is None:
             raise ValueError(f"{name}: expected real numbers, got {given!r:.60}")
         object.__setattr__(record, name, numbers)
+
+
+def _fault_of_order(time: Array) -> tuple[int, str] | None:
+    """Return the first tick that is not later than the one before it, counted from 0, and what is wrong with it."""
+    back = np.flatnonzero(np.diff(time) <= 0.0)
+    if not len(back):
+        return None
+    tick = int(back[0]) + 1
+    return tick, f"expected times that increase, got {time[tick]:.12g} after {time[tick - 1]:.12g}"
 
 
 def _check_frames(frames: Frames, time: Array) -> None:
@@ -252,7 +268,8 @@ def read_log(path: str | os.PathLike[str]) -> Log:
     except OSError as error:
         raise ScenarioError(f"cannot be read: {error.strerror or error}", source) from None
     except UnicodeDecodeError as error:
-        raise ScenarioError(f"expected UTF-8 text, got a byte that is none at {error.start}", source) from None
+        got = "UTF-16" if error.object[:2] in _UTF_16 else f"a byte that is none at {error.start}"
+        raise ScenarioError(f"expected UTF-8 text, got {got}; save the file as UTF-8", source) from None
     except (csv.Error, ValueError) as error:
         if isinstance(error, ScenarioError):
             raise
@@ -278,7 +295,10 @@ def _parsed(lines: Iterable[str], source: str) -> Log:
             columns, points = _columns(cells, source)
             continue
         if len(cells) != len(columns):
-            raise ScenarioError(f"line {reader.line_num}: expected {len(columns)} fields, got {len(cells)}", source)
+            hint = "; a comma separates fields: decimals need a point" if len(cells) > len(columns) else ""
+            raise ScenarioError(
+                f"line {reader.line_num}: expected {len(columns)} fields, got {len(cells)}{hint}", source
+            )
         if len(rows) == MAX_ROWS:
             raise ScenarioError(f"line {reader.line_num}: expected at most {MAX_ROWS} ticks, got more", source)
         row = [_number(cell, name, reader.line_num, source) for cell, name in zip(cells, columns, strict=True)]
@@ -291,6 +311,9 @@ def _parsed(lines: Iterable[str], source: str) -> Log:
         raise ScenarioError("expected a line of column names and lines of numbers, got none", source)
     table = dict(zip(columns, np.array(rows).T, strict=True))
     time = table[_TIME]
+    if fault := _fault_of_order(time):
+        tick, words = fault
+        raise ScenarioError(f"line {numbered[tick]}, time: {words}; sort the lines by their times", source)
     period = period_of(time)
     commands, joints = (np.stack([table[f"{name}_{leg}"] for leg in _LEGS], axis=1) for name in ("command", "joint"))
     frames = _frames(table, points, numbered, source) if points else None
@@ -303,7 +326,9 @@ def _columns(cells: Sequence[str], source: str) -> tuple[Mapping[str, int], int]
     missing = [name for name in _REQUIRED if name not in names]
     if missing:
         some = len(missing) < len(_REQUIRED)
-        got = f"all but {', '.join(missing)}" if some else f"a line of {len(names)} other names"
+        got = _kind_of_names(names) or (
+            f"all but {', '.join(missing)}" if some else f"a line of {len(names)} other names"
+        )
         raise ScenarioError(f"expected the columns {', '.join(_REQUIRED)}, got {got}", source)
     points = sum(f"x_{point}" in names for point in range(1, len(names)))
     image = [f"{axis}_{point}" for point in range(1, points + 1) for axis in "xy"]
@@ -318,14 +343,29 @@ def _columns(cells: Sequence[str], source: str) -> tuple[Mapping[str, int], int]
     return {name: place for place, name in enumerate(names)}, points
 
 
+def _kind_of_names(names: Sequence[str]) -> str:
+    """Return in what other form the names of columns are that of a log, and what to do; "" where they are none."""
+    line = ",".join(names)
+    if "\0" in line:
+        return "UTF-16; save the file as UTF-8"
+    for separator, called in _SEPARATORS.items():
+        if set(_REQUIRED) <= {name.strip(' "').lower() for name in line.split(separator)}:
+            return f"them with {called} between; write commas between fields, and decimals with a point"
+    lower = {name.lower(): name for name in names}
+    capitals = [lower[name] for name in _REQUIRED if lower.get(name, name) != name]
+    if capitals and set(_REQUIRED) <= lower.keys():
+        return f"{', '.join(capitals)}; write the names in lower case"
+    return ""
+
+
 def _number(cell: str, column: str, line: int, source: str) -> float:
-    if not cell.strip():
+    text = cell.strip()
+    if not text or text.lower() == "nan":  # as other programs write that there is none
         return math.nan
-    try:
-        value = float(cell)
-    except ValueError:
-        value = math.inf
-    if math.isinf(value):
+    value = decimal(text)
+    if value is None and _DECIMAL_COMMA.fullmatch(text):
+        raise ScenarioError(f"line {line}, {column}: expected a finite number, got one with a decimal comma", source)
+    if value is None or math.isinf(value):
         raise ScenarioError(
             f"line {line}, {column}: expected a finite number, got other text ({len(cell)} characters)", source
         )
