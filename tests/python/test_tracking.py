@@ -938,7 +938,7 @@ def test_how_far_behind_a_steady_target_of_few_frames_is_followed_is_that_of_run
 
 
 def test_frames_too_rare_for_a_velocity_are_named_with_the_lag_that_they_leave() -> None:
-    """The filter begins anew with each frame, whatever the certainty: the place of the last one is followed."""
+    """The filter begins again with each frame, whatever the certainty: the place of the last one is followed."""
     velocity, period = [5e-4, 0.0, 0.0], 1.2
     for certainty in (None, 0.0):
         changes = {} if certainty is None else {"controller.tracking.certainty": certainty}

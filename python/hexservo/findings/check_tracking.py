@@ -95,14 +95,14 @@ def _of_motion(scene: Scene, gains: Tracking) -> Iterator[str]:
 
 
 def _of_rare_frames(scene: Scene, gains: Tracking, velocity: Array) -> Iterator[str]:
-    """Find a target that is followed by the place of its last frame alone, as the filter begins anew with each."""
+    """Find a target that is followed by the place of its last frame alone, as the filter begins again with each."""
     period, speed = frame_period(scene.scenario), float(np.linalg.norm(velocity))
     held = (Piece(behind=0.0, share=0.0),)
     pixels = longest_behind(held, period, _late(scene), gains.bandwidth) * _pixels_of(scene, velocity)
     if pixels <= scene.band:
         return
     yield (
-        f"camera.period: frames are {quantity(period, 's')} apart, and the law's filter begins anew with a frame that "
+        f"camera.period: frames are {quantity(period, 's')} apart, and the law's filter begins again with a frame that "
         f"comes more than {quantity(LONGEST_PREDICTION, 's')} after the one before, so that it has no velocity of the "
         f"target, whatever controller.tracking.certainty is: target.motion moves the target at up to "
         f"{quantity(speed, 'm/s')}, and the place of the last frame is followed, up to about {number(pixels, 2)} px "

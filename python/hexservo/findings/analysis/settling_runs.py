@@ -62,7 +62,7 @@ class SettlingRuns:
     Attributes
     ----------
     duration, longer
-        [s], of a run, and of the smallest that fails once more.
+        [s], of a run, and of the smallest that fails, when it is repeated.
     task_settles
         Whether the task itself settles, in a run of up to `task_duration` [s].
     is_cut

@@ -271,7 +271,7 @@ def _unusual_causes(case: Case) -> set[str]:
 
 
 def _gets_there(one: Study, withheld: str) -> bool:
-    """Return whether the law gets to the goal with other settings of its own: none leads out of a false equilibrium.
+    """Return whether the law gets to the goal with other settings: none leads out of a false equilibrium.
 
     But for a faster loop, which swings past it.
     """
