@@ -330,9 +330,7 @@ def test_the_nearest_reachable_pose_by_brute_force(paper: hs.Scenario) -> None:
             assert travel(wanted) <= stroke
             continue
         assert "out of reach" in str(found)
-        assert travel(found.nearest) <= stroke * (
-            1 + 1e-9
-        )  # `leg_travel` takes legs that are so close to be at the end
+        assert travel(found.nearest) <= stroke * (1 + 1e-9)  # which counts as at its end
         assert travel(found.nearest) >= stroke * (1 - 1e-4)
         assert found.distance == pytest.approx(distance(wanted, found.nearest), rel=1e-9)
         # Poses nearer than that by 0.1 %: towards what was asked for, and in all directions about it.
