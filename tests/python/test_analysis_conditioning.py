@@ -332,7 +332,10 @@ def test_a_square_of_the_table_is_the_square_by_hand(paper: hs.Scenario) -> None
 
 
 def test_features_stay_in_the_picture(paper: hs.Scenario) -> None:
-    assert image_radius(scene_of(paper)) == 240
+    assert image_radius(scene_of(paper)) == pytest.approx(240, rel=1e-12)
+    twice = {key: 2 * np.array(getattr(paper.target, key)) for key in ("initial_features", "desired_features")}
+    finer = {"camera.pixel_scale": 2 * paper.camera.pixel_scale, **{f"target.{key}": twice[key] for key in twice}}
+    assert image_radius(scene_of(paper.updated(finer))) == pytest.approx(480, rel=1e-12)
     small = paper.updated({"simulation.mode": "sampled", "camera.image_size": [640, 400]})
     scene = scene_of(small)
     assert image_radius(scene) == pytest.approx(0.95 * 200)

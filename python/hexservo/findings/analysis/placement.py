@@ -12,7 +12,7 @@ from hexservo.scenario.arrays import Array
 from hexservo.scenario.pixels import has_pixels, points_outside
 from hexservo.scenario.scenario import Scenario
 
-RADIUS = 240.0  # [px], half the height of a picture of 640 x 480, where the scenario names no size
+VIEW = 240.0 / 581.816  # tangent of half the angle of view without a size: 480 px with the paper's focal length
 BORDER = 0.95  # share of half the picture that is used, where the scenario names its size
 DEPTH_SHARE = 0.1  # of the depth: how far a point may be off the plane, either way
 _SHARPNESS = 16  # exponent of the smooth maximum that the search minimises
@@ -36,14 +36,15 @@ def image_radius(scene: Scene) -> float:
     """Return the radius about the image centre within which features may be placed [px].
 
     95 % of half the smaller side of ``camera.image_size``, or where pixels are not features of the largest circle
-    of features that is in the image; without an image size 240 px, or as far out as the scenario's own features are.
+    of features that is in the image; without an image size 22 degrees off the axis (240 px for the paper's camera), or
+    as far out as the scenario's own features are.
     """
     size = scene.scenario.camera.image_size
     if size is not None and has_pixels(scene.scenario.camera):
         return BORDER * _widest(scene.scenario, math.hypot(*size))
     if size is not None:
         return BORDER * 0.5 * float(min(size))
-    return max(RADIUS, farthest(scene.view(scene.home).features))
+    return max(VIEW * scene.camera.focal_pixels, farthest(scene.view(scene.home).features))
 
 
 def _widest(scenario: Scenario, most: float) -> float:
