@@ -141,7 +141,7 @@ def test_pbvs_ends_off_its_goal_by_the_weight_not_by_the_mount() -> None:
         ({"camera.mount.rotation": [0.0, 0.0, 90.0]}, "camera.mount.rotation: expected a rotation vector at most"),
         ({"camera.mount.rotation": [0.0, 0.1]}, "camera.mount.rotation: expected 3 finite numbers"),
         ({"uncertainty.mount.rotation": [0.0, 0.0, 4.0]}, "uncertainty.mount.rotation: expected a rotation vector"),
-        ({"camera.mount.position": None}, "camera.mount.position: expected 3 numbers > -1e+06 and < 1e+06"),
+        ({"camera.mount.position": None}, "camera.mount.position: expected 3 numbers >"),
         ({"camera.convention": "as_printed", "camera.mount.position": [0.1, 0, 0]}, "camera.mount: expected no mount"),
     ],
 )
