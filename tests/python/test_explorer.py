@@ -793,10 +793,10 @@ def test_a_run_beyond_a_limit_of_the_legs_is_not_called_good(visit: Visit) -> No
         hs.simulate(hs.load_scenario("paper").updated({"robot.force_limit": 0.05})).events, key=lambda event: event.peak
     )
     assert f"but leg {worst.leg} takes a force of {worst.peak:.4g} N of 0.05 N" in page.locator("#verdict").inner_text()
-    visit.go("#reachy-mini&robot.stroke=0.1")
-    assert re.search(
-        r"Does not settle: .*, and leg \d passes its stroke of 5\.73°? at", page.locator("#verdict").inner_text()
-    )
+    visit.go("#reachy-mini-head&robot.stroke=0.1")
+    assert re.search(r", but leg \d passes its stroke of 5\.73°? at", page.locator("#verdict").inner_text())
+    visit.go("#reachy-mini&robot.stroke=0.1")  # commands of positions end at the stroke
+    assert "stroke" not in page.locator("#verdict").inner_text()
 
 
 @in_browser
