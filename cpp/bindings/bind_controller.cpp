@@ -123,6 +123,7 @@ py::tuple step_once(Controller& controller, const py::object& features, const py
 }  // namespace
 
 void bind_controller(py::module_& m) {
+  m.attr("LONGEST_SERVO_PERIOD") = kMaxServoPeriod;
   py::native_enum<InputStatus>(m, "InputStatus", "enum.Enum")
       .value("valid", InputStatus::valid)
       .value("unusable", InputStatus::unusable)

@@ -63,6 +63,7 @@ void bind_drives(py::module_& m) {
   m.attr("MOTOR_STEPS") = kMotorSteps;
   m.attr("FEEDBACK_EASE") = kEase;
   m.attr("LONGEST_FRAME_GAP") = kLongestFrameGap;
+  m.attr("LONGEST_PREDICTION") = kLongestPrediction;
   m.attr("MAX_ACTUATOR_DELAY") = kMaxActuatorDelay;
   m.def("drive_response", &drive_response, py::arg("commands"), py::arg("position"), py::arg("rate"), py::arg("period"),
         py::arg("bandwidth"), py::arg("damping"), py::arg("speed_limit"), py::arg("acceleration_limit"),

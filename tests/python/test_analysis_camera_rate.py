@@ -741,10 +741,12 @@ def test_a_loop_that_is_stable_at_rest_alone_is_called_bad() -> None:
     assert found.acting is not None
     assert found.acting.stable
     assert [run.ending for run in found.starts] == ["settles", "limit"]
+    assert found.settles is False
     assert found.stable is False
     section = found.section()
     assert section.verdict == "bad"
     assert "The verdict follows these runs" in section.sentences[0]
+    assert "So the cause is the camera." in " ".join(section.sentences)
     assert comes_to_rest(scenario, np.random.default_rng(SEED), 2.0) is False
 
 

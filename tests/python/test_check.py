@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 import hexservo as hs
 import rotary_machine
 from hexservo import _core
-from hexservo.findings.analysis.linear_law import LONGEST_SERVO_PERIOD, NotFiniteError
+from hexservo.findings.analysis.linear_law import NotFiniteError
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check import fastest_rate, unlikely
 from hexservo.findings.check_keys import keys_without_effect, needed_by, settings_needed
@@ -644,7 +644,7 @@ def test_gains_with_which_the_loop_overflows(name: str, changes: dict[str, Any],
         fastest_rate(scene_of(scenario))
 
 
-@pytest.mark.parametrize("period", [LONGEST_SERVO_PERIOD, np.nextafter(LONGEST_SERVO_PERIOD, 2.0)])
+@pytest.mark.parametrize("period", [_core.LONGEST_SERVO_PERIOD, np.nextafter(_core.LONGEST_SERVO_PERIOD, 2.0)])
 def test_a_servo_period_that_no_controller_takes_is_no_overflow(paper: hs.Scenario, period: float) -> None:
     """The bound is that of the core."""
     slow = paper.updated(
@@ -658,7 +658,7 @@ def test_a_servo_period_that_no_controller_takes_is_no_overflow(paper: hs.Scenar
     found = unlikely(slow)
     assert not any("overflow" in line for line in found)
     assert any("hs.Controller and exports refuse the scenario" in line for line in found) == (period > 1.0)
-    if period > LONGEST_SERVO_PERIOD:
+    if period > _core.LONGEST_SERVO_PERIOD:
         with pytest.raises(ValueError, match="period: expected a time above 0 and up to 1 s"):
             hs.Controller(slow)
     else:

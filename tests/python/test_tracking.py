@@ -19,7 +19,6 @@ from hexservo import _core
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check import unlikely
 from hexservo.findings.check_tracking import _behind_steady, of_tracking, steady_filter
-from hexservo.findings.target_line import LONGEST_PREDICTION
 from hexservo.run import variant
 from hexservo.scenario.laws import Tracking
 from hexservo.scenario.parameters import core_parameters
@@ -950,7 +949,7 @@ def test_frames_too_rare_for_a_velocity_are_named_with_the_lag_that_they_leave()
         assert float(found[1]) == pytest.approx(behind, rel=0.03)
     assert not list(of_tracking(scene_of(scenario.updated({"camera.period": 1.0}))))  # every velocity counts
     header = (Path(__file__).parents[2] / "cpp" / "include" / "hexservo" / "target_filter.hpp").read_text()
-    assert f"kLongestPrediction = {LONGEST_PREDICTION:.1f};" in header
+    assert f"kLongestPrediction = {_core.LONGEST_PREDICTION:.1f};" in header
 
 
 @pytest.mark.parametrize(

@@ -441,6 +441,17 @@ struct ImageRows {
     });
   }
 
+  /// That of point i, of `x` or `y`.
+  static Vector6<S> row(const std::array<Vector6<Register>, registers>& rows, int i) {
+    Vector6<S> entries;
+    for (int k = 0; k < 6; ++k) {
+      PointVector<S, N> column;
+      for (std::size_t r = 0; r < registers; ++r) column.part[r] = rows[r](k);
+      entries(k) = column(i);
+    }
+    return entries;
+  }
+
   friend ImageRows mean(const ImageRows& a, const ImageRows& b) {
     ImageRows half;
     for (std::size_t r = 0; r < registers; ++r) {
@@ -534,10 +545,15 @@ class ImageJacobian {
 
   /// J as a 2N x 6 matrix: twist in B (m/s; rad/s) to image velocity [px/s].
   Eigen::Matrix<S, 2 * N, 6> matrix() const {
+    const auto in_base = [this](const Vector6<S>& row) {
+      if (placement_ == nullptr) return row;
+      return detail::wrench_of_camera<S>(*placement_, p_BE_, R_BE_, row.template head<3>(), row.template tail<3>());
+    };
+    const ImageRows<S, N> of_points = rows({});
     Eigen::Matrix<S, 2 * N, 6> J;
     for (int i = 0; i < N; ++i) {
-      J.row(2 * i) = row(i, S(1.0), S(0.0)).transpose();
-      J.row(2 * i + 1) = row(i, S(0.0), S(1.0)).transpose();
+      J.row(2 * i) = in_base(of_points.row(of_points.x, i)).transpose();
+      J.row(2 * i + 1) = in_base(of_points.row(of_points.y, i)).transpose();
     }
     return J;
   }
@@ -568,21 +584,8 @@ class ImageJacobian {
   using R = typename PointVector<S, N>::Register;
   static constexpr std::size_t registers = PointVector<S, N>::registers;
 
-  /// fx times the row of J for the x of point i, plus fy times that for its y.
-  Vector6<S> row(int i, const S& fx, const S& fy) const {
-    Vector3<S> force_C = Vector3<S>::Zero(), moment_C = Vector3<S>::Zero();
-    add_point_wrench<S>(f_, inverse_f_, points_.x(i), points_.y(i), inverse_depth_(i), fx, fy, force_C, moment_C);
-    if (placement_ != nullptr) return detail::wrench_of_camera<S>(*placement_, p_BE_, R_BE_, force_C, moment_C);
-    const Vector3<S> force_B = rotate<S>(R_BE_, force_C), moment_B = rotate<S>(R_BE_, moment_C);
-    Vector6<S> wrench;
-    for (int k = 0; k < 3; ++k) {
-      wrench(k) = force_B(k);
-      wrench(k + 3) = moment_B(k);
-    }
-    return wrench;
-  }
-
-  /// The same of all points of a register, with force and moment in C turned by a matrix.
+  /// fx times the rows of J for x of the points of a register, plus fy times those for y: force and moment in C, turned
+  /// by a matrix.
   [[gnu::always_inline]] Vector6<R> rows_of_part(std::size_t r, const R& fx, const R& fy,
                                                  const Matrix3<R>& turn) const {
     Vector3<R> force(R(0.0), R(0.0), R(0.0)), moment(R(0.0), R(0.0), R(0.0));

@@ -18,24 +18,20 @@ def _show(ctx: typer.Context, parameter: object, asked: bool) -> None:
         raise typer.Exit
 
 
-def _writing(option: Any) -> Any:
-    """Return an option of typer for help, its text written by `write`."""
-    if option is not None:
-        option.callback = _show
-    return option
+class _Help:
+    """Has the text of --help written by `write`; before a class of typer."""
+
+    def get_help_option(self, ctx: Any) -> Any:
+        """Return the option, None where it is left out."""
+        option = super().get_help_option(ctx)  # type: ignore[misc]  # of that class
+        if option is not None:
+            option.callback = _show
+        return option
 
 
-class HelpCommand(TyperCommand):
+class HelpCommand(_Help, TyperCommand):
     """A command."""
 
-    def get_help_option(self, ctx: Any) -> Any:
-        """Return the option, None where it is left out."""
-        return _writing(super().get_help_option(ctx))
 
-
-class HelpGroup(TyperGroup):
+class HelpGroup(_Help, TyperGroup):
     """All commands together."""
-
-    def get_help_option(self, ctx: Any) -> Any:
-        """Return the option, None where it is left out."""
-        return _writing(super().get_help_option(ctx))

@@ -28,9 +28,9 @@ from hexservo.findings.check_machine import of_machine
 from hexservo.findings.check_motion import of_motion
 from hexservo.findings.check_period import of_period
 from hexservo.findings.check_points import of_points
+from hexservo.findings.check_prior import of_prior
 from hexservo.findings.check_target import of_target
 from hexservo.findings.check_tracking import of_tracking
-from hexservo.findings.prior import of_prior
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.keys import value_at

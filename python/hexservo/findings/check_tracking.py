@@ -7,11 +7,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from hexservo import _core
 from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.check_gains import SELDOM, share_of_restarts
 from hexservo.findings.check_gate import moved_between_frames
-from hexservo.findings.target_line import LONGEST_PREDICTION, Piece, SteadyFilter, longest_behind, steady_line
+from hexservo.findings.target_line import Piece, SteadyFilter, longest_behind, steady_line
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.laws import Tracking
 from hexservo.scenario.parameters import frame_period
@@ -57,7 +58,7 @@ def _of_motion(scene: Scene, gains: Tracking) -> Iterator[str]:
     moving = velocities[speeds > 0.0]
     if not len(moving):
         return
-    if period > LONGEST_PREDICTION:
+    if period > _core.LONGEST_PREDICTION:
         yield from _of_rare_frames(scene, gains, velocities[int(np.argmax(speeds))])
         return
     filtered = steady_filter(scene, gains)
@@ -101,12 +102,13 @@ def _of_rare_frames(scene: Scene, gains: Tracking, velocity: Array) -> Iterator[
     pixels = longest_behind(held, period, _late(scene), gains.bandwidth) * _pixels_of(scene, velocity)
     if pixels <= scene.band:
         return
+    longest = quantity(_core.LONGEST_PREDICTION, "s")
     yield (
         f"camera.period: frames are {quantity(period, 's')} apart, and the law's filter begins again with a frame that "
-        f"comes more than {quantity(LONGEST_PREDICTION, 's')} after the one before, so that it has no velocity of the "
-        f"target, whatever controller.tracking.certainty is: target.motion moves the target at up to "
-        f"{quantity(speed, 'm/s')}, and the place of the last frame is followed, up to about {number(pixels, 2)} px "
-        f"behind; take frames at most {quantity(LONGEST_PREDICTION, 's')} apart, or another law"
+        f"comes more than {longest} after the one before, so that it has no velocity of the target, whatever "
+        f"controller.tracking.certainty is: target.motion moves the target at up to {quantity(speed, 'm/s')}, and the "
+        f"place of the last frame is followed, up to about {number(pixels, 2)} px "
+        f"behind; take frames at most {longest} apart, or another law"
     )
 
 

@@ -11,8 +11,6 @@ import numpy as np
 from hexservo import _core
 from hexservo.scenario.arrays import Array
 
-LONGEST_PREDICTION = 1.0
-"""Time between two frames up to which the filter goes on, `kLongestPrediction` of the core [s]."""
 _INSTANTS = 50  # between two frames, at which the reference is looked at
 _COUNTED = 0.9  # share of the velocity with which what is followed is nearly the target, and comes nearer to it
 _NEVER = 1e-12  # probability below which a line that is left is not looked at any further

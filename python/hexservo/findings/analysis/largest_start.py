@@ -208,39 +208,24 @@ def _directions(scene: Scene, trial: SettlingRuns, own: Array | None) -> tuple[t
     run(between)
     for _ in range(ROUNDS):
         run(halfway)
-    later, reseeded = _settles_later(scene, trial, ways), _reseeded(scene, trial, ways)
-    found = [
-        replace(way, settles_later=settles, reseeded=again, error=_error(scene, way))
-        for way, settles, again in zip(ways, later, reseeded, strict=True)
-    ]
+    found = [replace(way, error=_error(scene, way)) for way in _repeated(scene, trial, ways)]
     return tuple(found), own_limit
 
 
-def _smallest_failing(scene: Scene, ways: list[Direction]) -> tuple[list[int], Array]:
-    """Return which ways have a size that fails, and the goals of the smallest, (n, 2p) [px]."""
+def _repeated(scene: Scene, trial: SettlingRuns, ways: list[Direction]) -> list[Direction]:
+    """Run the smallest sizes that fail for longer, since they may only be slow, and with other seeds."""
     failed = [border(way.tried)[1] for way in ways]
     rows = [i for i, size in enumerate(failed) if size is not None]
-    moves = np.array([(failed[i] or 0.0) * ways[i].unit for i in rows]).reshape(-1, 6)
-    return rows, scene.pixels(scene.home.moved(moves))
-
-
-def _settles_later(scene: Scene, trial: SettlingRuns, ways: list[Direction]) -> list[bool | None]:
-    """Run the smallest sizes that fail for longer, since they may only be slow."""
-    rows, goals = _smallest_failing(scene, ways)
-    found: list[bool | None] = [None] * len(ways)
-    if rows and trial.duration < trial.longer:
-        good = trial.ends({"target.desired_features": goals}, trial.longest()).settled
-        for i, settled in zip(rows, good, strict=True):
-            found[i] = bool(settled)
-    return found
-
-
-def _reseeded(scene: Scene, trial: SettlingRuns, ways: list[Direction]) -> list[tuple[bool, ...]]:
-    """Run the smallest sizes that fail with other seeds, where runs are random."""
-    rows, goals = _smallest_failing(scene, ways)
-    found: list[tuple[bool, ...]] = [()] * len(ways)
-    for i, again in zip(rows, trial.reseeded({"target.desired_features": goals}) if rows else [], strict=True):
-        found[i] = again
+    if not rows:
+        return ways
+    moves = np.array([(failed[i] or 0.0) * ways[i].unit for i in rows])
+    goals = {"target.desired_features": scene.pixels(scene.home.moved(moves))}
+    later: list[bool | None] = [None] * len(rows)
+    if trial.duration < trial.longer:
+        later = trial.ends(goals, trial.longest()).settled.tolist()
+    found = list(ways)
+    for i, settles, reseeded in zip(rows, later, trial.reseeded(goals), strict=True):
+        found[i] = replace(ways[i], settles_later=settles, reseeded=reseeded)
     return found
 
 

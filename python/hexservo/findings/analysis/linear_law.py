@@ -24,10 +24,6 @@ _TWIST_STEP = 1e-6  # [m/s; rad/s], and at most a thousandth of the switching wi
 _ROUNDS = 40  # of the searches for the pose of rest
 
 
-LONGEST_SERVO_PERIOD = 1.0
-"""Time between two ticks that a controller of the core takes at most, `kMaxServoPeriod` [s]."""
-
-
 class NoRestError(ValueError):
     """No pose was found at which the loop rests at its goal."""
 
@@ -39,9 +35,9 @@ class NotFiniteError(NoRestError):
 def too_long_a_period(scenario: Scenario) -> str:
     """Return that no controller takes the servo period of a scenario, as a clause; empty where one does."""
     period = scenario.simulation.step
-    if period <= LONGEST_SERVO_PERIOD:
+    if period <= _core.LONGEST_SERVO_PERIOD:
         return ""
-    most, found = (quantity(time, "s") for time in (LONGEST_SERVO_PERIOD, period))
+    most, found = (quantity(time, "s") for time in (_core.LONGEST_SERVO_PERIOD, period))
     return f"the servo period of {found} is more than the {most} that a controller takes"
 
 
