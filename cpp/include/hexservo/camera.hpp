@@ -441,15 +441,18 @@ struct ImageRows {
     });
   }
 
-  /// That of point i, of `x` or `y`.
-  static Vector6<S> row(const std::array<Vector6<Register>, registers>& rows, int i) {
-    Vector6<S> entries;
+  /// As a 2N x 6 matrix.
+  Eigen::Matrix<S, 2 * N, 6> matrix() const {
+    Eigen::Matrix<S, 2 * N, 6> J;
     for (int k = 0; k < 6; ++k) {
-      PointVector<S, N> column;
-      for (std::size_t r = 0; r < registers; ++r) column.part[r] = rows[r](k);
-      entries(k) = column(i);
+      Pairs<S, N> column;
+      for (std::size_t r = 0; r < registers; ++r) {
+        column.x.part[r] = x[r](k);
+        column.y.part[r] = y[r](k);
+      }
+      J.col(k) = column.vector();
     }
-    return entries;
+    return J;
   }
 
   friend ImageRows mean(const ImageRows& a, const ImageRows& b) {
@@ -545,15 +548,13 @@ class ImageJacobian {
 
   /// J as a 2N x 6 matrix: twist in B (m/s; rad/s) to image velocity [px/s].
   Eigen::Matrix<S, 2 * N, 6> matrix() const {
-    const auto in_base = [this](const Vector6<S>& row) {
-      if (placement_ == nullptr) return row;
-      return detail::wrench_of_camera<S>(*placement_, p_BE_, R_BE_, row.template head<3>(), row.template tail<3>());
-    };
-    const ImageRows<S, N> of_points = rows({});
-    Eigen::Matrix<S, 2 * N, 6> J;
-    for (int i = 0; i < N; ++i) {
-      J.row(2 * i) = in_base(of_points.row(of_points.x, i)).transpose();
-      J.row(2 * i + 1) = in_base(of_points.row(of_points.y, i)).transpose();
+    Eigen::Matrix<S, 2 * N, 6> J = rows({}).matrix();
+    if (placement_ == nullptr) return J;
+    for (int i = 0; i < 2 * N; ++i) {
+      const Vector6<S> in_camera = J.row(i).transpose();
+      J.row(i) = detail::wrench_of_camera<S>(*placement_, p_BE_, R_BE_, in_camera.template head<3>(),
+                                             in_camera.template tail<3>())
+                     .transpose();
     }
     return J;
   }
