@@ -62,6 +62,19 @@ const travel = ({ samples, middle }, row, leg) => Math.abs(samples.leg_lengths[6
 /** Which legs are beyond their stroke at a sample; none where the middle of it is not known. */
 export const legsBeyond = (result, row) => (result.middle ? LEGS.filter((leg) => travel(result, row, leg) > result.stroke) : []);
 
+const AT_END = 1e-6; // share of the stroke: commands end short of it by a billionth
+
+/** What a run of a state ends with where its legs take positions, which stay within their stroke: a clause, or nothing. */
+export function restAtStroke(state, run) {
+  if (valueOf(state, "actuators.kind") !== "position") return [];
+  const stroke = valueOf(state, "robot.stroke");
+  const middle = middles(state, run);
+  const legs = middle ? LEGS.filter((leg) => travel({ ...run, middle }, run.rows - 1, leg) >= (1 - AT_END) * stroke).map((leg) => leg + 1) : [];
+  if (!legs.length) return [];
+  const which = legs.length > 1 ? `legs ${legs.join(", ")} are at the end of their` : `leg ${legs[0]} is at the end of its`;
+  return [`${which} stroke of ${withUnit(stroke, unitOfMetric(state, LIMITS.stroke))}`];
+}
+
 /** Whether a run of a state, of which the metrics are known, is beyond one of its limits. */
 export function isBeyondLimits(state, values) {
   const [base, platform] = valueOf(state, "robot.joint_limit") ?? [null, null];

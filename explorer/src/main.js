@@ -7,7 +7,7 @@ import { Runner } from "./engine.js";
 import { short, withUnit } from "./format.js";
 import { Happenings } from "./happenings.js";
 import { ImageView } from "./image.js";
-import { bounds, happenings, middles, passedLimits, unitOfMetric } from "./limits.js";
+import { bounds, happenings, middles, passedLimits, restAtStroke, unitOfMetric } from "./limits.js";
 import { ParameterMap } from "./map.js";
 import { actingChanges, changed, drawn, full, groups, laws, metrics, presetOf, presets, readAddress, same, start, textOf, toAddress, toYaml, valueOf, version } from "./model.js";
 import { endsAt, targetAt } from "./machine.js";
@@ -227,7 +227,7 @@ function at(next) {
 /** How a run of a state went: good, bad or warn, and a sentence, at whose end is what it does beyond the limits of the legs. */
 function ending(of, run) {
   const { outcome, metrics: values, time, detail, outside } = run;
-  const beyond = [...(outside ? [inWords(outside)] : []), ...passedLimits(of, run)].join(", ");
+  const beyond = [...(outside ? [inWords(outside)] : []), ...passedLimits(of, run), ...restAtStroke(of, run)].join(", ");
   if (outcome !== "completed") return ["bad", `Ends early, ${outcome.replaceAll("_", " ")}${detail ? `: ${detail}` : ""}${beyond && `; before that ${beyond}`}`];
   const band = withUnit(valueOf(of, "metrics.band"), "px");
   if (Number.isNaN(values.settling_time)) return ["warn", `Does not settle: ${withUnit(values.final_error, "px")} from the goal after ${withUnit(time, "s")}${beyond && `, and ${beyond}`}`];

@@ -795,8 +795,24 @@ def test_a_run_beyond_a_limit_of_the_legs_is_not_called_good(visit: Visit) -> No
     assert f"but leg {worst.leg} takes a force of {worst.peak:.4g} N of 0.05 N" in page.locator("#verdict").inner_text()
     visit.go("#reachy-mini-head&robot.stroke=0.1")
     assert re.search(r", but leg \d passes its stroke of 5\.73°? at", page.locator("#verdict").inner_text())
-    visit.go("#reachy-mini&robot.stroke=0.1")  # commands of positions end at the stroke
+
+
+@in_browser
+def test_legs_that_take_positions_and_end_at_their_stroke_are_named(visit: Visit) -> None:
+    """Commands of positions end there, and pass no limit; what is wrong is the goal, as the package's check finds."""
+    page = visit.page
+    visit.go("#pi-h824-positions")
     assert "stroke" not in page.locator("#verdict").inner_text()
+    visit.go("#pi-h824-positions&robot.stroke=0.004")
+    words = page.locator("#verdict").inner_text()
+    scenario = hs.load_scenario("pi-h824-positions").updated({"robot.stroke": 0.004})
+    lengths = hs.simulate(scenario).leg_lengths
+    travel = np.abs(lengths[-1] - lengths[0])  # the run starts at home
+    (leg,) = np.flatnonzero(travel > 0.004 - 1e-8) + 1
+    assert words.endswith(f", and leg {leg} is at the end of its stroke of 4 mm"), words
+    visit.go("#pi-h824-positions&robot.stroke=0.001")
+    words = page.locator("#verdict").inner_text()
+    assert re.search(r", and legs \d(, \d)+ are at the end of their stroke of 1 mm$", words), words
 
 
 @in_browser
