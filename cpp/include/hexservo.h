@@ -1,8 +1,9 @@
 /** @file
  * The C interface of hexservo: scenarios, runs, the controller's tick and plants (docs/c-interface.md).
  *
- * C99, and the one boundary under every language that is not C++. A scenario is set by the dotted keys of its file;
- * which ones a law has, and what each takes, is asked (`hexservo_scenario_key`), since all follow from one table.
+ * C99, and the one boundary under every language that is not C++. A scenario is set by the dotted keys of its file (but
+ * for those that the Python package turns into others); which ones a law has, and what each takes, is asked
+ * (`hexservo_scenario_key`), since all follow from one table.
  * `hexservo show NAME --flat` prints a scenario as lines `key value`, each of which `hexservo_scenario_set_text` takes.
  *
  *     hexservo_scenario* scenario = hexservo_scenario_create();

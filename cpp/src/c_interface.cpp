@@ -205,9 +205,16 @@ struct hexservo_scenario {
 
 namespace {
 
+/// A key that may hold numbers, as the law has none.
+const ScenarioKey& numeric_key(const Settings& settings, const char* key) {
+  if (given(key) == kLawKey) refuse(std::string(kLawKey), "text, which is the name of a law", "numbers");
+  return scenario_key(settings.law(), given(key));
+}
+
 /// Calls `function`; what it throws becomes the scenario's message.
 template <class F>
 hexservo_status guarded(hexservo_scenario& scenario, F&& function) noexcept {
+  const MaskTraps masked;
   try {
     scenario.message.clear();
     function();
@@ -433,7 +440,7 @@ hexservo_status hexservo_scenario_set_numbers(hexservo_scenario* scenario, const
                                               size_t count) {
   return guarded(*scenario, [&] {
     if (numbers == nullptr && count > 0) refuse(std::string(given(key)), words(count, " numbers"), "a null pointer");
-    set_given(scenario->settings, scenario_key(scenario->settings.law(), given(key)), {numbers, count});
+    set_given(scenario->settings, numeric_key(scenario->settings, key), {numbers, count});
   });
 }
 
@@ -449,7 +456,7 @@ hexservo_status hexservo_scenario_get_numbers(hexservo_scenario* scenario, const
                                               size_t room, size_t* count) {
   if (count != nullptr) *count = 0;
   return guarded(*scenario, [&] {
-    const ScenarioKey& asked = scenario_key(scenario->settings.law(), given(key));
+    const ScenarioKey& asked = numeric_key(scenario->settings, key);
     if (asked.type == KeyType::seed || asked.type == KeyType::choice)
       refuse(asked.name, "a key that holds numbers (its text can be asked for)", "one that does not");
     const std::vector<double> found = numbers_or_none(scenario->settings, asked);

@@ -102,6 +102,7 @@ struct NumberReader {
 
 template <class Law, int N>
 ControllerGains<Law, N> controller_gains(const Settings& settings, double period) {
+  const MaskTraps masked;
   if (!(period > 0.0 && period <= kMaxServoPeriod))
     detail::refuse("period", detail::words("a time above 0 and up to ", kMaxServoPeriod, " s"), detail::words(period));
   Settings ticking = settings;  // on the tick's own grid, and without what belongs to the plant

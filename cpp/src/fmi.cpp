@@ -608,6 +608,20 @@ struct Fmi2Callbacks {
 
 using Fmi3Log = void (*)(void* environment, int status, const char* category, const char* message);
 
+Unit::Log log_by(Fmi3Log logger, void* environment) {
+  if (logger == nullptr) return {};
+  return [logger, environment](bool failed, const char* message) {
+    logger(environment, failed ? error : warning, failed ? "logStatusError" : "logStatusWarning", message);
+  };
+}
+
+/// Null in place of an instance of a kind that a unit is not.
+void* refused(const Unit::Log& log, const char* message) {
+  if (log) log(true, message);
+  return nullptr;
+}
+constexpr const char* kCoSimulationAlone = "expected co-simulation, which is all that this unit has";
+
 }  // namespace
 
 #define FMI __attribute__((visibility("default"), used))
@@ -634,10 +648,7 @@ FMI void* fmi2Instantiate(const char* name, int type, const char* guid, const ch
       logger(environment, given.c_str(), failed ? error : warning, failed ? "logStatusError" : "logStatusWarning", "%s",
              message);
     };
-  if (type != 1) {
-    if (log) log(true, "expected co-simulation, which is all that this unit has");
-    return nullptr;
-  }
+  if (type != 1) return refused(log, kCoSimulationAlone);
   return made(path_of(resources), guid, log, false);
 } catch (...) {
   return nullptr;
@@ -709,25 +720,25 @@ NOT_THERE(fmi2GetStringStatus)
 FMI const char* fmi3GetVersion() { return "3.0"; }
 FMI int fmi3SetDebugLogging(void*, bool, std::size_t, const char* const*) { return ok; }
 
-FMI void* fmi3InstantiateCoSimulation(const char*, const char* token, const char* resources, bool, bool, bool,
-                                      bool early, const Reference*, std::size_t, void* environment, Fmi3Log logger,
-                                      void*) {
-  Unit::Log log;
-  if (logger != nullptr)
-    log = [logger, environment](bool failed, const char* message) {
-      logger(environment, failed ? error : warning, failed ? "logStatusError" : "logStatusWarning", message);
-    };
-  try {
-    return made(resources == nullptr ? "" : resources, token, log, early);
-  } catch (...) {
-    return nullptr;
-  }
-}
-FMI void* fmi3InstantiateModelExchange(const char*, const char*, const char*, bool, bool, void*, Fmi3Log) {
+FMI void* fmi3InstantiateCoSimulation(const char*, const char* token, const char* resources, bool, bool,
+                                      bool has_events, bool early, const Reference*, std::size_t, void* environment,
+                                      Fmi3Log logger, void*) try {
+  const Unit::Log log = log_by(logger, environment);
+  if (has_events) return refused(log, "expected eventModeUsed = false: this unit has no event mode");
+  return made(resources == nullptr ? "" : resources, token, log, early);
+} catch (...) {
   return nullptr;
 }
-FMI void* fmi3InstantiateScheduledExecution(const char*, const char*, const char*, bool, bool, void*, Fmi3Log, void*,
-                                            void*, void*) {
+FMI void* fmi3InstantiateModelExchange(const char*, const char*, const char*, bool, bool, void* environment,
+                                       Fmi3Log logger) try {
+  return refused(log_by(logger, environment), kCoSimulationAlone);
+} catch (...) {
+  return nullptr;
+}
+FMI void* fmi3InstantiateScheduledExecution(const char*, const char*, const char*, bool, bool, void* environment,
+                                            Fmi3Log logger, void*, void*, void*) try {
+  return refused(log_by(logger, environment), kCoSimulationAlone);
+} catch (...) {
   return nullptr;
 }
 FMI void fmi3FreeInstance(void* instance) { delete static_cast<Unit*>(instance); }

@@ -206,7 +206,9 @@ const ScenarioKey& scenario_key(LawId law, std::string_view name) {
   const std::vector<ScenarioKey>& keys = scenario_keys(law);
   const auto key = std::ranges::find(keys, name, &ScenarioKey::name);
   if (key == keys.end())
-    refuse(std::string(name), words("a key of a scenario with the law ", law_traits(law).name), "one that it has not");
+    refuse(std::string(name), words("one of the core's keys for the law ", law_traits(law).name),
+           "another name; a key of scenario files alone is given by those that it leads to, which hexservo show --flat "
+           "lists");
   return *key;
 }
 

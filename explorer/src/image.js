@@ -80,12 +80,16 @@ export class ImageView {
     this.outline(c, (i) => this.feature(samples, row, i));
     c.setLineDash([]);
     for (let i = 0; i < points; ++i) {
-      const start = this.place(...this.feature(samples, 0, i));
+      const [startX, startY] = this.place(...this.feature(samples, 0, i));
       const goal = this.place(goals[2 * i], goals[2 * i + 1]);
       const now = this.place(...this.feature(samples, row, i));
       c.strokeStyle = lineColour(i);
       c.lineWidth = 1.5;
-      c.strokeRect(start[0] - 4, start[1] - 4, 8, 8);
+      c.beginPath(); // a diamond: squares are goals in the figures of the package, and circles what is seen now
+      c.moveTo(startX, startY - 6);
+      for (const [x, y] of [[6, 0], [0, 6], [-6, 0]]) c.lineTo(startX + x, startY + y);
+      c.closePath();
+      c.stroke();
       c.beginPath();
       c.arc(...now, 4.5, 0, 7);
       const looks = [lineColour(i), colour.panel];

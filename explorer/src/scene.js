@@ -129,14 +129,13 @@ export class MachineView {
   /** Legs to the platform's joints in B: cylinder and rod, or crank and rod; those beyond their stroke in another colour. */
   legs(joints, row) {
     const { result, scene, base, thick } = this;
-    const { ink, faint, bad, warn, panel } = colours();
-    const lost = result.outcome !== "completed" && row === result.rows - 1;
+    const { ink, faint, warn, panel } = colours();
     const cranks = endsAt(result, row);
     const ends = cranks ?? base.map((foot, i) => foot.clone().lerp(joints[i], 0.55));
     const beyond = legsBeyond(result, row);
     const pairs = (from, to, wanted) => from.map((point, i) => [point, to[i]]).filter((_, i) => beyond.includes(i) === wanted);
-    scene.add(rods(pairs(base, ends, false), faint, thick), rods(pairs(ends, joints, false), lost ? bad : ink, 0.5 * thick));
-    if (beyond.length) scene.add(rods(pairs(base, ends, true), warn, thick), rods(pairs(ends, joints, true), lost ? bad : warn, 0.5 * thick));
+    scene.add(rods(pairs(base, ends, false), faint, thick), rods(pairs(ends, joints, false), ink, 0.5 * thick));
+    if (beyond.length) scene.add(rods(pairs(base, ends, true), warn, thick), rods(pairs(ends, joints, true), warn, 0.5 * thick));
     for (const foot of base) scene.add(ball(foot, 0.6 * thick, faint, panel));
     for (const joint of [...joints, ...(cranks ?? [])].filter(isFinitePoint)) scene.add(ball(joint, 0.5 * thick, ink, panel));
   }

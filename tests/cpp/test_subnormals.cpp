@@ -114,13 +114,13 @@ TEST_CASE("a tick leaves the mode of its caller alone") {
 }
 
 #ifdef __GLIBC__
-TEST_CASE("a tick does not trap where its caller's exceptions do, and they do again after it") {
-  const ControllerGains<Hybrid> gains = controller_gains<Hybrid>(paper_settings(), kPeriod);
-  ControllerState<Hybrid> state = initial_state(gains);
+TEST_CASE("a tick and its gains do not trap where their caller's exceptions do, and they do again after them") {
   const int traps = FE_INVALID | FE_DIVBYZERO | FE_OVERFLOW;
   std::feclearexcept(FE_ALL_EXCEPT);
   REQUIRE(feenableexcept(traps) != -1);
   const bool could = fegetexcept() == traps;  // not every processor can
+  const ControllerGains<Hybrid> gains = controller_gains<Hybrid>(paper_settings(), kPeriod);
+  ControllerState<Hybrid> state = initial_state(gains);
   ControllerInput input = input_at_home(gains, 1e-3);
   input.frame.exposure = std::numeric_limits<double>::quiet_NaN();  // no frame, which is compared
   const ControllerOutput output = step(gains, state, input);

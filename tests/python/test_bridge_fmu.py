@@ -205,6 +205,16 @@ def test_a_unit_needs_only_what_every_linux_has(make: Any) -> None:
     assert needed <= {"libstdc++.so.6", "libgcc_s.so.1", "libm.so.6", "libc.so.6", "ld-linux-x86-64.so.2"}
 
 
+def test_a_unit_calls_its_own_core_whatever_a_program_has_loaded(make: Any) -> None:
+    """A host may have another release of the library of the C interface, with the same names."""
+    readelf = shutil.which("readelf")
+    if readelf is None:
+        pytest.skip("readelf is not installed")
+    library = Path(make(hs.load_scenario("paper"), 2).folder) / "binaries" / "linux64" / "hexservo.so"
+    listed = subprocess.run([readelf, "-rW", str(library)], capture_output=True, text=True, check=True).stdout
+    assert re.findall(r"\b(?:hexservo|fmi[23])\w+", listed) == []
+
+
 @pytest.mark.parametrize("fmi", VERSIONS)
 @pytest.mark.parametrize("name", ["paper", "composite-30hz"])
 def test_the_loop_is_the_run_bit_for_bit(make: Any, fmi: int, name: str) -> None:
@@ -747,6 +757,29 @@ def test_a_folder_that_is_no_uri_is_named(make: Any) -> None:
         assert library.fmi2Instantiate(b"one", 1, b"", uri, pointers, 0, 0) is None
     print(messages)
     assert len(messages) == 4
+
+
+def test_instances_of_other_kinds_are_refused_with_a_message(make: Any) -> None:
+    made = make(hs.load_scenario("paper"), 3)
+    library = ctypes.CDLL(str(next(Path(made.folder).rglob("*.so"))))
+    messages: list[bytes] = []
+    logger = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p)
+    log = logger(lambda *arguments: messages.append(arguments[3]))
+    token, resources = made.description.instantiationToken.encode(), f"{made.folder}/resources/".encode()
+    start = (b"one", token, resources, False, False)
+    for make_one, more in (
+        (library.fmi3InstantiateModelExchange, (None, log)),
+        (library.fmi3InstantiateScheduledExecution, (None, log, None, None, None)),
+        (library.fmi3InstantiateCoSimulation, (True, False, None, ctypes.c_size_t(0), None, log, None)),
+    ):
+        make_one.restype = ctypes.c_void_p
+        assert make_one(*start, *more) is None
+    only = b"expected co-simulation, which is all that this unit has"
+    assert messages == [only, only, b"expected eventModeUsed = false: this unit has no event mode"]
+    library.fmi3InstantiateCoSimulation.restype = ctypes.c_void_p
+    one = library.fmi3InstantiateCoSimulation(*start, False, False, None, ctypes.c_size_t(0), None, log, None)
+    assert one is not None
+    library.fmi3FreeInstance(ctypes.c_void_p(one))
 
 
 def test_a_refused_duration_is_named(make: Any) -> None:

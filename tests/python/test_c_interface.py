@@ -152,7 +152,7 @@ def test_a_packaged_scenario_goes_in_line_by_line_and_reads_back(scenario: Handl
 def test_misuse_is_refused_with_a_message_and_changes_nothing(library: ctypes.CDLL, scenario: Handle) -> None:
     for key, text, words in (
         ("controller.law", "none such", "controller.law: expected one of hybrid"),
-        ("camera.nois", "1", "camera.nois: expected a key of a scenario with the law hybrid"),
+        ("camera.nois", "1", "camera.nois: expected one of the core's keys for the law hybrid"),
         ("camera.noise", "a lot", 'camera.noise: expected a number, got "a"'),
         ("camera.noise", "1 2 3", "camera.noise: expected 1 number, got 3"),
         ("robot.gravity", "9.8", "robot.gravity: expected 3 numbers, got 1"),
@@ -222,6 +222,19 @@ def test_space_around_a_text_does_not_count(scenario: Handle) -> None:
     ):
         assert scenario.set(key, text) == OK, scenario.message()
         assert scenario.get(key) == found
+
+
+def test_names_that_are_no_keys_with_numbers_are_told_apart(library: ctypes.CDLL, scenario: Handle) -> None:
+    number = ctypes.c_double(1.0)
+    assert library.hexservo_scenario_set_number(scenario.handle, b"controller.law", number) == REFUSED
+    assert scenario.message() == "controller.law: expected text, which is the name of a law, got numbers"
+    count = ctypes.c_size_t(1)
+    for key in (b"target.desired_pose", b"robot.mas"):  # a key of scenario files alone, and none
+        asked = library.hexservo_scenario_get_numbers(
+            scenario.handle, key, ctypes.c_void_p(), ctypes.c_size_t(0), ctypes.byref(count)
+        )
+        assert (asked, count.value) == (REFUSED, 0)
+        assert scenario.message().startswith(f"{key.decode()}: expected one of the core's keys for the law hybrid, got")
 
 
 def test_null_pointers_are_refused_with_a_message(library: ctypes.CDLL, scenario: Handle) -> None:

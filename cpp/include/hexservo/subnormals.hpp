@@ -49,36 +49,36 @@ inline void set_floating_mode(FloatingMode) noexcept {}
 #endif
 }  // namespace detail
 
-/// While one exists, subnormal numbers count as zero in this thread, or do not; then the thread's mode is as before.
+/// While one exists, some bits of this thread's floating-point mode are those wanted; then they are as before.
 ///
-/// While they count as zero no exception traps either: a number that is not known is NaN, and is compared. Flags of
-/// exceptions may be raised. Nothing else of the mode changes. A mode that is set already costs one read; a thread that
-/// ticks may therefore keep one of these for itself.
-template <bool flush>
-class SubnormalMode {
+/// Flags of exceptions may be raised. A mode that is set already costs one read; a thread that ticks may therefore keep
+/// one of these for itself.
+template <detail::FloatingMode changed, detail::FloatingMode wanted>
+class FloatingModeGuard {
  public:
-  SubnormalMode() noexcept : before_(detail::floating_mode() & kChanged) { change_to(kWanted); }
-  ~SubnormalMode() { change_to(before_); }
+  FloatingModeGuard() noexcept : before_(detail::floating_mode() & changed) { change_to(wanted); }
+  ~FloatingModeGuard() { change_to(before_); }
 
-  SubnormalMode(const SubnormalMode&) = delete;
-  SubnormalMode& operator=(const SubnormalMode&) = delete;
+  FloatingModeGuard(const FloatingModeGuard&) = delete;
+  FloatingModeGuard& operator=(const FloatingModeGuard&) = delete;
 
  private:
-  static constexpr detail::FloatingMode kChanged = detail::kFlushBits | (flush ? detail::kTrapBits : 0);
-  static constexpr detail::FloatingMode kWanted = flush ? detail::kFlushBits | detail::kNoTraps : 0;
-
   /// No number that is read from or written to memory is moved across this by the compiler.
   void change_to(detail::FloatingMode bits) noexcept {
-    if (before_ == kWanted) return;
+    if (before_ == wanted) return;
     asm volatile("" : : : "memory");
-    detail::set_floating_mode((detail::floating_mode() & ~kChanged) | bits);
+    detail::set_floating_mode((detail::floating_mode() & ~changed) | bits);
     asm volatile("" : : : "memory");
   }
 
   detail::FloatingMode before_;
 };
 
-using FlushSubnormals = SubnormalMode<true>;
-using KeepSubnormals = SubnormalMode<false>;
+/// No exception traps: a number that is not known is NaN, and is compared.
+using MaskTraps = FloatingModeGuard<detail::kTrapBits, detail::kNoTraps>;
+/// Subnormal numbers count as zero, and no exception traps.
+using FlushSubnormals =
+    FloatingModeGuard<detail::kFlushBits | detail::kTrapBits, detail::kFlushBits | detail::kNoTraps>;
+using KeepSubnormals = FloatingModeGuard<detail::kFlushBits, 0>;
 
 }  // namespace hexservo

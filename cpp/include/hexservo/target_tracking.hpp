@@ -22,7 +22,6 @@
 
 namespace hexservo {
 
-inline constexpr int kPointingRounds = 6;  ///< of the camera's place in a direction
 /// Share of the legs' acceleration limit that the reference brakes with: a command that is held asks more of them [1].
 inline constexpr double kBraking = 0.6;
 inline constexpr double kSettled = 4.0;  ///< lags after which the legs are at rest [1]
@@ -113,21 +112,26 @@ using TrackingPlanOf = std::conditional_t<kTracks<Law>, TrackingPlan<S, N>, NoTr
 template <class S, class Law>
 using TrackingStateOf = std::conditional_t<kTracks<Law>, TrackingState<S>, NoTracking<S>>;
 
-/// The home pose turned the shortest way so that the desired ray points at a place in B [m].
+/// The home pose with the desired ray, from the camera on its arm, turned the shortest way so that it meets a place in
+/// B [m].
+///
+/// The ray meets the sphere around home's position on which the place lies at one point in front of the camera. That is
+/// turned to the place, and then about it, until the axis of both turns together is perpendicular to the ray. A place
+/// nearer than any point of the ray is looked past as closely as can be.
 template <class S, int N>
 Pose<S> pointing(const TrackingPlan<S, N>& plan, const Vector3<S>& place) {
   using std::sqrt;
-  Vector3<S> centre = plan.home_centre;
-  const Vector3<S> arm = centre - plan.home.position;
+  const Vector3<S> arm = plan.home_centre - plan.home.position, to = place - plan.home.position;
+  const S along = dot<S>(arm, plan.home_ray), room = along * along - arm.squaredNorm() + to.squaredNorm();
+  const Vector3<S> meeting = arm + plan.home_ray * (sqrt(max(room, S(0.0))) - along);
+  // quaternions but for their lengths: (w, v) to the place, (c, s to) about it
+  const S w = sqrt(meeting.squaredNorm() * to.squaredNorm()) + dot<S>(meeting, to);
+  const Vector3<S> v = cross<S>(meeting, to), about = to * w + cross<S>(to, v);
+  const S c = dot<S>(about, plan.home_ray), s = dot<S>(v, plan.home_ray);
   Vector4<S> turn;
-  for (int round = 0; round < kPointingRounds; ++round) {
-    const Vector3<S> to = place - centre;
-    const Vector3<S> ray = to * (S(1.0) / sqrt(to.squaredNorm()));
-    turn(0) = S(1.0) + dot<S>(plan.home_ray, ray);
-    turn.template tail<3>() = cross<S>(plan.home_ray, ray);
-    turn *= S(1.0) / sqrt(turn.squaredNorm());
-    centre = plan.home.position + rotate<S>(rotation_matrix(turn), arm);
-  }
+  turn(0) = c * w;
+  turn.template tail<3>() = v * c - about * s;
+  turn *= S(1.0) / sqrt(turn.squaredNorm());
   return {plan.home.position, quaternion_product<S>(turn, plan.home.quaternion)};
 }
 
