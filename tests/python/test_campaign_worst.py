@@ -32,8 +32,11 @@ FORMS: list[dict[str, Any]] = [
     {"log": [1e-3, 10.0]},
     {"uniform": [-2.0, 3.0], "clip": [-1.0, 9.0]},
     {"choice": [3.0, -1.0, 7.0]},
+    {"normal": [1.0, 0.5], "clip": [-1.0, 4.5]},  # 4 and 7 standard deviations, which draws reach
+    {"normal": [1.0, 0.5], "clip": [0.0, 100.0]},  # an upper limit that no draw reaches
+    {"normal": [1.0, 0.5], "clip": [-100.0, 100.0]},
 ]
-BOXES = [(-2, 3), (-0.5, 2.5), (0.8, 1.1), (1e-3, 10), (-1, 3), (-1, 7)]
+BOXES = [(-2, 3), (-0.5, 2.5), (0.8, 1.1), (1e-3, 10), (-1, 3), (-1, 7), (-1, 4.5), (0, 2.5), (-0.5, 2.5)]
 
 
 @pytest.mark.parametrize(("form", "box"), list(zip(FORMS, BOXES, strict=True)))
@@ -67,6 +70,21 @@ def test_a_run_is_found_at_its_place_in_the_box() -> None:
                 assert drawn[key] == placed[key]
             else:
                 np.testing.assert_allclose(placed[key], drawn[key], rtol=1e-9, atol=1e-12)
+
+
+def test_the_worst_case_is_searched_up_to_the_limits(tmp_path: Path) -> None:
+    """The legs travel the farthest with the smallest mass, 6.7 standard deviations from the mean."""
+    vary = {
+        "uncertainty.gravity": {"normal": [0.0, 0.03], "clip": [-0.2, 0.15]},
+        "uncertainty.depth": {"uniform": [0, 0.1]},
+    }
+    file = FILE | {"vary": vary, "require": ["peak_leg_excursion <= 0.006"]}
+    case = hs.worst_case(hs.campaign(file, tmp_path / "out", runs=3), runs=60, restarts=1)
+    assert case.scenario.uncertainty.gravity == -0.2
+    assert [key for key, *_ in case.box] == ["uncertainty.gravity [1]", "uncertainty.depth [1]"]
+    np.testing.assert_allclose([ends for _, *ends in case.box], [[-0.2, 0.15], [0.0, 0.1]], atol=1e-15)
+    assert [table.title for table in case.section().items] == ["Smallest margin found", "Box that was searched"]
+    assert case.section().data["box"] == case.box
 
 
 # ---- The search -----------------------------------------------------------------------------------------------------

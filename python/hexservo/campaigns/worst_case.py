@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hexservo.campaigns.distributions import SEED
+from hexservo.campaigns.drawing import with_unit
 from hexservo.campaigns.judging import Judge
 from hexservo.campaigns.refused import REMEDY
 from hexservo.campaigns.requirements import Requirement, ranks_of, run_margins
@@ -63,6 +65,7 @@ class WorstCase(Findings):
     diagnosis: Diagnosis | None = field(default=None)  # of the run, where it is about a requirement that the run misses
     refused: int = field(default=0)  # points of the box that are no valid scenario, and were left out
     refusal: str = field(default="")  # why the first of them is none
+    box: tuple[tuple[str, float, float], ...] = field(default=())  # that was searched: key with unit, both ends
 
     def headline(self) -> str:
         """Return a line that names the scenario."""
@@ -90,11 +93,14 @@ class WorstCase(Findings):
         if self.diagnosis is not None:
             sentences.append(self.diagnosis.section().sentences[0])
         columns, rows = (Column("requirement"), Column("margin")), [("all together", self.margin), *self.margins]
-        table = Table("Smallest margin found", columns, rows, "", "docs/campaigns.md")
+        tables = [Table("Smallest margin found", columns, rows, "", "docs/campaigns.md")]
+        if self.box:
+            keys = (Column("key"), Column("from"), Column("to"))
+            tables.append(Table("Box that was searched", keys, self.box, "", "docs/campaigns.md"))
         margins = {"margin": self.margin, "margins": dict(self.margins)}
-        data = {**margins, **picked(self, "runs seed refused common_noise")}
+        data = {**margins, **picked(self, "runs seed refused common_noise box")}
         failure = min(self.margin, self.drawn_margin) < 0
-        return Section("worst_case", "Worst case", sentences, [table], "bad" if failure else "open", data)
+        return Section("worst_case", "Worst case", sentences, tables, "bad" if failure else "open", data)
 
 
 def worst_case(
@@ -105,9 +111,9 @@ def worst_case(
     The case is written to ``worst-case.yaml`` in the campaign's folder, in place of an earlier one that is unchanged.
 
     CMA-ES (Hansen 2016) minimises the margin of all requirements together, and where several metrics are required that
-    of each by itself, from the campaign's worst runs. The box is that of the distributions: 3 standard deviations for a
-    normal one without a clip. Its points that are no valid scenario are left out, and counted. Seeds are those of the
-    run from which a search begins.
+    of each by itself, from the campaign's worst runs. The box is that of the distributions: their limits, and 3
+    standard deviations from the mean at an end of a normal one that has no limit which draws reach. Its points that are
+    no valid scenario are left out, and counted. Seeds are those of the run from which a search begins.
 
     Parameters
     ----------
@@ -192,6 +198,11 @@ def worst_case(
         _diagnosed(scenario, plan.require) if margin < 0 else None,
         judge.refused,
         judge.refusal,
+        tuple(
+            (with_unit(plan.scenario, key) + (" (added)" if variation.add else ""), *variation.box)
+            for key, variation in plan.vary.items()
+            if variation.kind != SEED
+        ),
     )
 
 
