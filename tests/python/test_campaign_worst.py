@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy import stats
 
 import hexservo as hs
 from hexservo.campaigns import worst_case
@@ -258,6 +259,51 @@ def test_a_search_proves_no_good_verdict(
     case = WorstCase(scenario, Path("x"), margin, (), drawn, (), 10, 0, common_noise, "")
     assert case.section().verdict == verdict
     assert case.section().sentences[0] == f"The worst case found {ends}"
+
+
+@pytest.mark.parametrize(
+    ("margin", "drawn", "failures", "verdict"),
+    [
+        (-0.1, 0.1, 2, "warning"),
+        (-0.1, -0.1, 50, "warning"),
+        (-0.1, 0.1, 51, "bad"),
+        (-0.1, 0.1, 0, "warning"),
+        (0.1, -0.1, 0, "warning"),
+        (0.1, 0.1, 1, "warning"),
+        (0.1, 0.1, 0, "open"),
+    ],
+)
+def test_other_seeds_decide_the_verdict(margin: float, drawn: float, failures: int, verdict: str) -> None:
+    case = WorstCase(
+        FILE["scenario"], Path("x"), margin, (), drawn, (), 10, 0, None, "", None, 0, "", (), 100, failures
+    )
+    assert case.section().verdict == verdict
+    assert case.section().sentences[1] == f"With other noise this case fails in {failures} of 100 runs (other seeds)."
+
+
+@pytest.mark.parametrize("vary", [{"seed": "each"}, {}])
+def test_a_case_is_repeated_with_other_noise(vary: dict[str, Any], tmp_path: Path) -> None:
+    """The share of other seeds that fail is that of independent ones: about a third of all runs is above the bound."""
+    noisy = hs.load_scenario("noisy-camera", {"simulation.duration": 0.3, "metrics.rms_start": 0.1})
+    bound = float(np.quantile(of_seeds(noisy, range(1000, 1400)), 0.7))
+    require = [f"peak_leg_force <= {bound}"]
+    vary = {"uncertainty.gravity": {"uniform": [-1e-9, 1e-9], "add": True}} | vary
+    case = hs.worst_case(
+        hs.campaign({"scenario": noisy, "vary": vary, "require": require, "runs": 20}, tmp_path / "out"), runs=8
+    )
+    assert case.other_seeds == 100
+    assert case.runs <= 8
+    expected = (of_seeds(case.scenario, range(400)) > bound).mean()
+    print(f"{case.other_failures} of 100 other seeds fail, {expected:.3f} of 400 independent ones")
+    assert 0.2 < expected < 0.4
+    assert stats.binomtest(case.other_failures, 100, expected).pvalue > 1e-3
+    assert case.section().verdict == "warning"
+
+
+def of_seeds(scenario: hs.Scenario, seeds: range) -> Array:
+    """Return the largest leg force [N] of runs with other seeds."""
+    batch = hs.simulate_batch(scenario, {"seed": np.array(seeds, dtype=np.uint64)}, "metrics")
+    return np.asarray(batch.metrics["peak_leg_force"])
 
 
 def test_a_worst_case_keeps_the_noise_that_all_runs_share(tmp_path: Path) -> None:
