@@ -381,7 +381,7 @@ def test_the_changes_that_a_diagnosis_states_as_cures(too_short: Diagnosis) -> N
 def test_what_has_no_worst_case(tmp_path: Path) -> None:
     only_seeds = {"scenario": "slow-camera", "vary": {"seed": "each"}, "require": ["outcome == completed"], "runs": 1}
     result = hs.campaign(only_seeds, tmp_path / "out")
-    with pytest.raises(ValueError, match="expected a campaign with runs, in which more than seeds varies"):
+    with pytest.raises(ValueError, match="more than seed varies; got one in which seed alone varies"):
         hs.worst_case(result)
     with pytest.raises(TypeError, match=r"result: expected a CampaignResult \(see hs.campaign\), got dict"):
         hs.worst_case(only_seeds)  # type: ignore[arg-type]
@@ -389,6 +389,25 @@ def test_what_has_no_worst_case(tmp_path: Path) -> None:
         hs.worst_case(result, seed=None)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="restarts: expected an integer of at least 1, got 0"):
         hs.worst_case(result, restarts=0)
+
+
+def test_a_worst_case_of_seeds_alone_is_refused_before_the_runs(tmp_path: Path) -> None:
+    (tmp_path / "c.yaml").write_text(
+        "scenario: slow-camera\nvary: {seed: each}\nrequire: [outcome == completed]\nruns: 2\n", encoding="utf-8"
+    )
+    arguments = [
+        "campaign",
+        str(tmp_path / "c.yaml"),
+        "--out",
+        str(tmp_path / "out"),
+        "--set",
+        "simulation.duration=0.3",
+    ]
+    code, out, err = invoke(*arguments, "--worst", "--report")
+    assert (code, out) == (2, "")
+    assert err.startswith("Error: --worst: expected more that varies than seed")
+    assert not (tmp_path / "out").exists()
+    assert invoke(*arguments, "--report")[0] == 0
 
 
 def test_the_command_searches_the_worst_case(tmp_path: Path) -> None:

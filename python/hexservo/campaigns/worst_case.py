@@ -169,7 +169,8 @@ def worst_case(
     judge = Judge(plan, threads)
     drawing = judge.drawing
     if not starts or not drawing.dimension:
-        raise ValueError("result: expected a campaign with runs, in which more than seeds varies")
+        got = "no runs" if not starts else "one in which seed alone varies"
+        raise ValueError(f"result: expected a campaign with runs, in which more than seed varies; got {got}")
 
     # over all searches: the worst run, with where it is, and the smallest margin of each requirement
     rank, place, start = (math.inf, math.inf), drawing.shares(starts[0]), starts[0]
