@@ -16,7 +16,7 @@ from scipy.special import ndtri
 import hexservo as hs
 from hexservo.campaigns.distributions import uniform_of
 from hexservo.campaigns.plan import load_plan
-from hexservo.campaigns.rare import RareFailures, subset_simulation
+from hexservo.campaigns.rare import RareFailures, repeated, subset_simulation
 from hexservo.campaigns.sensitivity import sobol_indices
 from hexservo.findings.evidence import as_data
 from hexservo.scenario.arrays import Array
@@ -54,6 +54,45 @@ def test_subset_simulation_of_a_planted_probability(shape: str, dimension: int) 
     assert 1 / 1.5 <= np.median(shares) <= 1.5
     assert ((shares > 1 / 1.5) & (shares < 1.5)).all()
     assert spread < np.median([each.variation for each in found])
+
+
+def beside_a_slope(probability: float) -> Margin:
+    """Failures without a slope towards them, beside a margin that falls towards another side."""
+    begins = stats.norm.isf(probability)
+    return lambda places, seeds: np.minimum(1 - 0.18 * places[:, 0], np.where(places[:, 1] > begins, -1.2, 1.0))
+
+
+@pytest.mark.parametrize(("planted", "margin"), [(3e-4, beside_a_slope(3e-4)), (1e-4, half_space(1e-4))])
+def test_the_spread_of_repetitions_is_that_of_their_mean(planted: float, margin: Margin) -> None:
+    """Also where chains miss a region, in which a single repetition has a variation that is far too small."""
+    plan = load_plan(FILE)
+    found = [RareFailures(plan, repeated(margin, 2, 1000, 5, seed), seed) for seed in range(40)]
+    shares = np.array([each.probability for each in found]) / planted
+    spread, stated = shares.std(), math.sqrt(np.mean([each.variation**2 for each in found]))
+    differ = [
+        "The repetitions differ by more than a factor of 10" in " ".join(each.section().sentences) for each in found
+    ]
+    print(f"seeds 0 to 39: mean {shares.mean():.2f}, spread {spread:.2f}, stated {stated:.2f}, {sum(differ)} differ")
+    assert abs(shares.mean() - 1) < 4 * spread / math.sqrt(40)
+    assert spread < 1.5 * stated
+    assert all(differ) if planted == 3e-4 else not any(differ)
+    first = found[0].section().sentences[0]
+    assert "the mean of 5 independent repetitions from " in first
+    assert "at most" not in first
+
+
+def test_repetitions_that_add_nothing_are_left_out() -> None:
+    assert len(repeated(half_space(0.3), 3, 1000, 5, 1)) == 1
+    assert len(repeated(noisy(1e-9, 1.0), 1, 1000, 5, 1)) == 1
+    several = repeated(half_space(1e-3), 2, 100, 4, 7)
+    assert len({each.probability for each in several}) == 4
+    (alone,) = repeated(half_space(1e-3), 2, 100, 1, 7)
+    assert alone.probability == several[0].probability
+    one = RareFailures(load_plan(FILE), (alone,), 7)
+    assert math.isnan(one.variation)
+    assert "by one repetition, which has no spread" in one.section().sentences[0]
+    with pytest.raises(ValueError, match="repetitions: expected an integer of at least 1, got 0"):
+        repeated(half_space(0.3), 3, 1000, 0, 1)
 
 
 def noisy(probability: float, noise: float) -> Margin:
@@ -135,7 +174,7 @@ def test_subset_simulation_of_what_is_not_rare_or_never_fails() -> None:
     assert (often.not_rare, always.not_rare, always.probability) == (True, True, 1.0)
     assert math.isnan(always.variation)
     for levels in (often, always):
-        words = " ".join(RareFailures(load_plan(FILE), levels, 1).section().sentences)
+        words = " ".join(RareFailures(load_plan(FILE), (levels,), 1).section().sentences)
         assert f"{round(1000 * levels.probability)} of 1000 runs fail: that is not rare. Use a campaign" in words
         assert "variation" not in words
     assert not subset_simulation(half_space(0.02), 3, 1000, 1).not_rare
@@ -285,7 +324,8 @@ def test_no_estimate_of_a_campaign_where_noise_decides() -> None:
     estimate = hs.estimate_rare_failures(file, samples=100, seed=1)
     sentences = estimate.section().sentences
     print(sentences)
-    assert estimate.levels.noise_decides
+    assert estimate.repetitions[-1].noise_decides
+    assert math.isnan(estimate.probability)
     assert sentences[0].startswith("There is no estimate: noise decides which runs have a margin below ")
     assert "a campaign needs none of this" in sentences[1]
     assert as_data(estimate.section().data)["probability"] is None
@@ -309,9 +349,9 @@ def test_estimates_of_a_campaign() -> None:
     failures = int((batch.metrics["peak_leg_excursion"] > 0.0036).sum())
     estimate = hs.estimate_rare_failures(FILE, samples=500, seed=2)
     low, high = stats.binomtest(failures, 2000).proportion_ci(0.999)
-    print(f"{failures} of 2000 runs fail; subset simulation, seed 2: {estimate.levels}")
-    spread = 1 + 4 * estimate.levels.variation
-    assert low / spread < estimate.levels.probability < high * spread
+    print(f"{failures} of 2000 runs fail; subset simulation, seed 2: {estimate.probability}")
+    spread = 1 + 4 * estimate.variation
+    assert low / spread < estimate.probability < high * spread
     assert "no bound" in estimate.section().sentences[1]
     found = hs.sensitivity(FILE, samples=32, seed=1)
     assert found.inputs == (

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy import stats
 
 import hexservo as hs
 from hexservo.campaigns import worst_case
@@ -32,8 +33,11 @@ FORMS: list[dict[str, Any]] = [
     {"log": [1e-3, 10.0]},
     {"uniform": [-2.0, 3.0], "clip": [-1.0, 9.0]},
     {"choice": [3.0, -1.0, 7.0]},
+    {"normal": [1.0, 0.5], "clip": [-1.0, 4.5]},  # 4 and 7 standard deviations, which draws reach
+    {"normal": [1.0, 0.5], "clip": [0.0, 100.0]},  # an upper limit that no draw reaches
+    {"normal": [1.0, 0.5], "clip": [-100.0, 100.0]},
 ]
-BOXES = [(-2, 3), (-0.5, 2.5), (0.8, 1.1), (1e-3, 10), (-1, 3), (-1, 7)]
+BOXES = [(-2, 3), (-0.5, 2.5), (0.8, 1.1), (1e-3, 10), (-1, 3), (-1, 7), (-1, 4.5), (0, 2.5), (-0.5, 2.5)]
 
 
 @pytest.mark.parametrize(("form", "box"), list(zip(FORMS, BOXES, strict=True)))
@@ -67,6 +71,21 @@ def test_a_run_is_found_at_its_place_in_the_box() -> None:
                 assert drawn[key] == placed[key]
             else:
                 np.testing.assert_allclose(placed[key], drawn[key], rtol=1e-9, atol=1e-12)
+
+
+def test_the_worst_case_is_searched_up_to_the_limits(tmp_path: Path) -> None:
+    """The legs travel the farthest with the smallest mass, 6.7 standard deviations from the mean."""
+    vary = {
+        "uncertainty.gravity": {"normal": [0.0, 0.03], "clip": [-0.2, 0.15]},
+        "uncertainty.depth": {"uniform": [0, 0.1]},
+    }
+    file = FILE | {"vary": vary, "require": ["peak_leg_excursion <= 0.006"]}
+    case = hs.worst_case(hs.campaign(file, tmp_path / "out", runs=3), runs=60, restarts=1)
+    assert case.scenario.uncertainty.gravity == -0.2
+    assert [key for key, *_ in case.box] == ["uncertainty.gravity [1]", "uncertainty.depth [1]"]
+    np.testing.assert_allclose([ends for _, *ends in case.box], [[-0.2, 0.15], [0.0, 0.1]], atol=1e-15)
+    assert [table.title for table in case.section().items] == ["Smallest margin found", "Box that was searched"]
+    assert case.section().data["box"] == case.box
 
 
 # ---- The search -----------------------------------------------------------------------------------------------------
@@ -242,6 +261,51 @@ def test_a_search_proves_no_good_verdict(
     assert case.section().sentences[0] == f"The worst case found {ends}"
 
 
+@pytest.mark.parametrize(
+    ("margin", "drawn", "failures", "verdict"),
+    [
+        (-0.1, 0.1, 2, "warning"),
+        (-0.1, -0.1, 50, "warning"),
+        (-0.1, 0.1, 51, "bad"),
+        (-0.1, 0.1, 0, "warning"),
+        (0.1, -0.1, 0, "warning"),
+        (0.1, 0.1, 1, "warning"),
+        (0.1, 0.1, 0, "open"),
+    ],
+)
+def test_other_seeds_decide_the_verdict(margin: float, drawn: float, failures: int, verdict: str) -> None:
+    case = WorstCase(
+        FILE["scenario"], Path("x"), margin, (), drawn, (), 10, 0, None, "", None, 0, "", (), 100, failures
+    )
+    assert case.section().verdict == verdict
+    assert case.section().sentences[1] == f"With other noise this case fails in {failures} of 100 runs (other seeds)."
+
+
+@pytest.mark.parametrize("vary", [{"seed": "each"}, {}])
+def test_a_case_is_repeated_with_other_noise(vary: dict[str, Any], tmp_path: Path) -> None:
+    """The share of other seeds that fail is that of independent ones: about a third of all runs is above the bound."""
+    noisy = hs.load_scenario("noisy-camera", {"simulation.duration": 0.3, "metrics.rms_start": 0.1})
+    bound = float(np.quantile(of_seeds(noisy, range(1000, 1400)), 0.7))
+    require = [f"peak_leg_force <= {bound}"]
+    vary = {"uncertainty.gravity": {"uniform": [-1e-9, 1e-9], "add": True}} | vary
+    case = hs.worst_case(
+        hs.campaign({"scenario": noisy, "vary": vary, "require": require, "runs": 20}, tmp_path / "out"), runs=8
+    )
+    assert case.other_seeds == 100
+    assert case.runs <= 8
+    expected = (of_seeds(case.scenario, range(400)) > bound).mean()
+    print(f"{case.other_failures} of 100 other seeds fail, {expected:.3f} of 400 independent ones")
+    assert 0.2 < expected < 0.4
+    assert stats.binomtest(case.other_failures, 100, expected).pvalue > 1e-3
+    assert case.section().verdict == "warning"
+
+
+def of_seeds(scenario: hs.Scenario, seeds: range) -> Array:
+    """Return the largest leg force [N] of runs with other seeds."""
+    batch = hs.simulate_batch(scenario, {"seed": np.array(seeds, dtype=np.uint64)}, "metrics")
+    return np.asarray(batch.metrics["peak_leg_force"])
+
+
 def test_a_worst_case_keeps_the_noise_that_all_runs_share(tmp_path: Path) -> None:
     noisy = hs.load_scenario("noisy-camera", {"simulation.duration": 0.3, "seed": 7})
     file = FILE | {"scenario": noisy, "runs": 2}
@@ -317,7 +381,7 @@ def test_the_changes_that_a_diagnosis_states_as_cures(too_short: Diagnosis) -> N
 def test_what_has_no_worst_case(tmp_path: Path) -> None:
     only_seeds = {"scenario": "slow-camera", "vary": {"seed": "each"}, "require": ["outcome == completed"], "runs": 1}
     result = hs.campaign(only_seeds, tmp_path / "out")
-    with pytest.raises(ValueError, match="expected a campaign with runs, in which more than seeds varies"):
+    with pytest.raises(ValueError, match="more than seed varies; got one in which seed alone varies"):
         hs.worst_case(result)
     with pytest.raises(TypeError, match=r"result: expected a CampaignResult \(see hs.campaign\), got dict"):
         hs.worst_case(only_seeds)  # type: ignore[arg-type]
@@ -325,6 +389,25 @@ def test_what_has_no_worst_case(tmp_path: Path) -> None:
         hs.worst_case(result, seed=None)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="restarts: expected an integer of at least 1, got 0"):
         hs.worst_case(result, restarts=0)
+
+
+def test_a_worst_case_of_seeds_alone_is_refused_before_the_runs(tmp_path: Path) -> None:
+    (tmp_path / "c.yaml").write_text(
+        "scenario: slow-camera\nvary: {seed: each}\nrequire: [outcome == completed]\nruns: 2\n", encoding="utf-8"
+    )
+    arguments = [
+        "campaign",
+        str(tmp_path / "c.yaml"),
+        "--out",
+        str(tmp_path / "out"),
+        "--set",
+        "simulation.duration=0.3",
+    ]
+    code, out, err = invoke(*arguments, "--worst", "--report")
+    assert (code, out) == (2, "")
+    assert err.startswith("Error: --worst: expected more that varies than seed")
+    assert not (tmp_path / "out").exists()
+    assert invoke(*arguments, "--report")[0] == 0
 
 
 def test_the_command_searches_the_worst_case(tmp_path: Path) -> None:

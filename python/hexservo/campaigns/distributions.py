@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,7 @@ _KINDS = {
 }
 _FLAGS = ("add", "each", "symmetric")
 _EXPECTED = "one of " + ", ".join(f"{{{kind}: {form}}}" for kind, form in _KINDS.items())
-_SIGMAS = 3.0  # of a normal distribution without a clip, within a box
+_SIGMAS = 3.0  # of a normal distribution within a box, where no limit ends it
 _SMALLEST = 0.5**53  # smallest uniform number; the largest is 1 - this
 
 
@@ -66,11 +66,26 @@ class Variation:
 
     @property
     def box(self) -> tuple[float, float]:
-        """The smallest and the largest number that a search for the worst case tries: 3 sigma for a normal one."""
-        first, last = self.parameters[0], self.parameters[-1]
-        ends = (first - _SIGMAS * last, first + _SIGMAS * last) if self.kind == "normal" else self.reach
-        low, high = (float(end) for end in (ends if self.clip is None else np.clip(ends, *self.clip)))
-        return low, high
+        """The smallest and the largest number that a search for the worst case tries.
+
+        A limit that draws reach is an end of the box. An end of a normal distribution without one, or with one that is
+        farther than all draws and so changes none, is 3 standard deviations from the mean.
+        """
+        if self.kind != "normal" or self.clip is None:
+            return self._within_sigmas
+        (near, far), (least, largest) = self._within_sigmas, replace(self, clip=None).reach
+        return (
+            self.clip[0] if self.clip[0] >= least else near,
+            self.clip[1] if self.clip[1] <= largest else far,
+        )
+
+    @property
+    def _within_sigmas(self) -> tuple[float, float]:
+        """What is drawn, of a normal distribution the mean +- 3 standard deviations without its limits."""
+        if self.kind != "normal":
+            return self.reach
+        mean, sigma = self.parameters
+        return mean - _SIGMAS * sigma, mean + _SIGMAS * sigma
 
     def in_box(self, share: Array) -> Array:
         """Return numbers by their place in the box, from 0 to 1; the places of `log` and `choice` are of equal size.

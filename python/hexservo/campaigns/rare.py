@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,6 +24,7 @@ from hexservo.scenario.wording import number, whole_number
 
 _SHARE = 0.1  # of the samples of a level that begin the chains of the next one
 _MOST_LEVELS = 30
+_FAR = 10.0  # ratio of repetitions above which some missed a region that others entered
 _FEWEST_CHAINS = 10
 _STEP = 0.6  # s of the first proposals, x' = sqrt(1 - s^2) x + s z; then by the share that is accepted
 _ACCEPTED = 0.44  # share of proposals to accept (Papaioannou et al. 2015)
@@ -39,8 +40,8 @@ class Levels:
     """What subset simulation found."""
 
     probability: float  # estimate that the margin is negative; 0 if no level reached it; NaN if noise decides
-    # largest coefficient of variation of the estimate, whatever the correlation of its levels; NaN where all runs of
-    # the first level fail, which has none
+    # coefficient of variation of the estimate if its levels are fully correlated, and its chains enter all regions of
+    # failure; NaN where all runs of the first level fail, which has none
     variation: float
     thresholds: tuple[float, ...]  # margins of the levels, falling
     evaluations: int
@@ -63,8 +64,26 @@ class RareFailures(Findings):
     """An estimate of a small failure probability. It is no bound, and replaces none."""
 
     plan: CampaignPlan  # whose failures are estimated
-    levels: Levels  # of the margin, from all draws to the failures
+    repetitions: tuple[Levels, ...]  # independent ones; the first alone where failures are not rare
     seed: int  # of the draws
+
+    @property
+    def probability(self) -> float:
+        """The estimate: the mean of the repetitions; 0 if none reached a failure, NaN if noise decides."""
+        return float(np.mean([each.probability for each in self.repetitions]))
+
+    @property
+    def variation(self) -> float:
+        """Coefficient of variation of the estimate, by the spread of the repetitions; NaN where there is none."""
+        found = np.array([each.probability for each in self.repetitions])
+        if len(found) == 1 or not found.any():
+            return math.nan
+        return float(found.std(ddof=1) / math.sqrt(len(found)) / found.mean())
+
+    @property
+    def evaluations(self) -> int:
+        """Number of runs of all repetitions."""
+        return sum(each.evaluations for each in self.repetitions)
 
     def headline(self) -> str:
         """Return a line that names the scenario."""
@@ -72,8 +91,8 @@ class RareFailures(Findings):
 
     def section(self) -> Section:
         """Return the estimate in sentences, with the margins of the levels."""
-        levels = self.levels
-        how = f"subset simulation ({levels.evaluations} runs, seed {self.seed})"
+        levels, count = self.repetitions[-1], len(self.repetitions)
+        how = f"subset simulation ({self.evaluations} runs, seed {self.seed})"
         if levels.noise_decides:
             sentences = [
                 f"There is no estimate: noise decides which runs have a margin below {number(levels.thresholds[-1])}. "
@@ -82,7 +101,7 @@ class RareFailures(Findings):
                 f"The chains of {how} ended there. More samples may help; a campaign needs none of this, and its "
                 "interval is a bound.",
             ]
-        elif levels.not_rare:
+        elif self.repetitions[0].not_rare:
             failed = round(levels.probability * levels.evaluations)
             sentences = [
                 f"{failed} of {levels.evaluations} runs fail: that is not rare. Use a campaign, whose interval is a "
@@ -90,21 +109,38 @@ class RareFailures(Findings):
                 f"They are the first level of {how}, which needs no other one.",
             ]
         else:
-            first = f"No level reached a failure: the smallest margin is {number(levels.thresholds[-1])}."
-            if levels.probability > 0:
+            found = sorted(each.probability for each in self.repetitions)
+            if found[-1] == 0:
+                smallest = min(each.thresholds[-1] for each in self.repetitions)
+                first = f"No level reached a failure: the smallest margin is {number(smallest)}."
+            elif count == 1:
                 first = (
-                    f"The failure probability is estimated as {levels.probability:.2g}, with a coefficient of "
-                    f"variation of at most about {number(levels.variation, 2)}."
+                    f"The failure probability is estimated as {found[0]:.2g}, by one repetition, which has no spread."
+                )
+            else:
+                first = (
+                    f"The failure probability is estimated as {self.probability:.2g}, the mean of {count} independent "
+                    f"repetitions from {found[0]:.2g} to {found[-1]:.2g}; the coefficient of variation of this mean is "
+                    f"about {number(self.variation, 2)}, by their spread."
                 )
             sentences = [
                 first,
                 f"It is an estimate by {how} and no bound: it lacks failures in a region that no chain entered.",
             ]
+            if found[0] * _FAR < found[-1]:
+                sentences.append(
+                    f"The repetitions differ by more than a factor of {_FAR:g}: some missed a region of failures that "
+                    "others entered, and all may have missed one. More samples help, or a campaign, whose interval is "
+                    "a bound."
+                )
         if (common := self.plan.common_noise) is not None:
             sentences.append(of_common_noise("this holds", common))
-        columns, rows = (Column("level"), Column("margin")), list(enumerate(levels.thresholds))
+        columns = (Column("repetition"), Column("level"), Column("margin"))
+        rows = [[place, *level] for place, each in enumerate(self.repetitions) for level in enumerate(each.thresholds)]
         table = Table("Levels", columns, rows, "", "docs/campaigns.md")
-        data = picked(levels, "probability variation evaluations noise_decides not_rare")
+        data = picked(self, "probability variation evaluations") | picked(levels, "noise_decides")
+        data["not_rare"] = self.repetitions[0].not_rare
+        data["probabilities"] = [each.probability for each in self.repetitions]
         return Section("rare_failures", "Rare failures", sentences, [table], "open", data)
 
 
@@ -112,6 +148,7 @@ def estimate_rare_failures(
     source: str | os.PathLike[str] | Mapping[str, Any] | CampaignPlan,
     *,
     samples: int = 1000,
+    repetitions: int = 5,
     seed: int = 0,
     threads: int | None = None,
 ) -> RareFailures:
@@ -123,6 +160,9 @@ def estimate_rare_failures(
         As for `campaign`; its runs, chunks and confidence do not matter.
     samples
         Runs of a level, at least 100: a probability of 1e-k takes about k levels.
+    repetitions
+        Independent estimates, at least 1, each with the runs of all its levels; their spread states how far they can
+        be trusted. One in which noise decides is the last, and one alone is made where failures are not rare.
     seed
         Of the chains: the same one gives the same estimate.
     threads
@@ -131,9 +171,9 @@ def estimate_rare_failures(
     Raises
     ------
     TypeError
-        For samples or a seed that is no integer.
+        For samples, repetitions or a seed that is no integer.
     ValueError
-        For fewer samples, or a negative seed.
+        For fewer samples, or repetitions, or a negative seed.
     ScenarioError
         As `campaign`, and for a draw that is no valid scenario, with its numbers.
     KeyboardInterrupt
@@ -145,11 +185,27 @@ def estimate_rare_failures(
     def margin(normal: Array, seeds: NDArray[np.uint64]) -> Array:
         return judge.smallest_margins(judge.drawing.numbers_of(between_ends(ndtr(normal)), seeds))
 
-    return RareFailures(plan, subset_simulation(margin, judge.drawing.dimension, samples, seed), seed)
+    return RareFailures(plan, repeated(margin, judge.drawing.dimension, samples, repetitions, seed), seed)
+
+
+def repeated(
+    margin: Callable[[Array, NDArray[np.uint64]], Array], dimension: int, samples: int, repetitions: int, seed: int
+) -> tuple[Levels, ...]:
+    """Return independent subset simulations: up to one in which noise decides, or the first alone if it is not rare.
+
+    Arguments and errors as for `subset_simulation`; the first repetition is that with `seed`.
+    """
+    count, seed = whole_number("repetitions", repetitions, 1), whole_number("seed", seed, 0)
+    found: list[Levels] = []
+    for repetition in range(count):
+        found.append(subset_simulation(margin, dimension, samples, [seed, repetition] if repetition else seed))
+        if found[-1].noise_decides or found[0].not_rare:
+            break
+    return tuple(found)
 
 
 def subset_simulation(
-    margin: Callable[[Array, NDArray[np.uint64]], Array], dimension: int, samples: int, seed: int
+    margin: Callable[[Array, NDArray[np.uint64]], Array], dimension: int, samples: int, seed: int | Sequence[int]
 ) -> Levels:
     """Estimate the probability that a margin is negative for standard normal numbers (Au and Beck 2001).
 
@@ -157,8 +213,8 @@ def subset_simulation(
     margins of the one before, and continues them as Markov chains whose proposals keep the normal distribution
     (Papaioannou, Betz, Zwirglmaier and Straub 2015); one that leaves the level is not accepted. Where many margins
     are equal, a level has what is less than them, and where nothing is less, the failures of one level are counted.
-    The coefficient of variation is the upper bound of Au and Beck's section 5: the sum of those of the levels, each by
-    equations (28) to (29), which is reached if the levels are fully correlated.
+    The coefficient of variation is that of Au and Beck's section 5 for fully correlated levels: the sum of those of the
+    levels, each by equations (28) to (29). It is small for chains that missed a region of failures.
 
     A proposal with other noise is seldom accepted where noise decides. The chains are then copies of few runs, and the
     shares of the levels those of few kinds of noise. Where chains change their noise less than once, and fewer than 10
@@ -173,16 +229,16 @@ def subset_simulation(
     samples
         Of a level, at least 100; rounded down to a multiple of 10.
     seed
-        Of the chains.
+        Of the chains: one for `np.random.default_rng`.
 
     Raises
     ------
     TypeError
-        For samples or a seed that is no integer.
+        For samples that are no integer.
     ValueError
-        For fewer samples, or a negative seed.
+        For fewer samples.
     """
-    samples, seed = whole_number("samples", samples, 100), whole_number("seed", seed, 0)
+    samples = whole_number("samples", samples, 100)
     random = np.random.default_rng(seed)
     length = round(1 / _SHARE)
     most_chains = chains = samples // length

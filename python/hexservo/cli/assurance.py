@@ -91,6 +91,11 @@ def campaign(
     with errors_as_messages():
         options = {"runs": "--runs", "chunk_size": "--chunk-size"}
         plan = _plan(file, settings or [], options, runs=runs, chunk_size=chunk_size)
+        if worst and not plan.drawing().dimension:  # before the runs, which would take the time
+            raise hs.ScenarioError(
+                ["expected more that varies than seed, whose noise has no box to search; got seed alone; leave it out"],
+                "--worst",
+            )
         started = time.perf_counter()
         with refusals():  # of an option, as the number of threads
             result = hs.campaign(
@@ -110,7 +115,7 @@ def campaign(
             of = "" if planned is None else f" of {planned}"
             interrupted(f"{len(result)}{of} runs are kept; the same command goes on")
         if worst:
-            with refusals():  # nothing but seeds varies
+            with refusals():
                 case = hs.worst_case(result, threads=threads)
             more.append(case.section())
             if not quiet:
