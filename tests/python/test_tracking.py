@@ -265,6 +265,38 @@ def test_the_filter_is_the_alpha_beta_filter_of_kalata() -> None:
     assert worst < 2e-5  # the depth of a place aside, and the legs' angles: second order in 0.03 rad
 
 
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
+def test_a_camera_on_a_long_arm_is_pointed_at_its_target(share: float) -> None:
+    """It moves farther aside than the ray turns where the arm, from E, is longer than what is left to the target."""
+    distance, turn = 2.0, [0.05, -0.08, 0.0]
+    height = hs.load_scenario("moog-6dof2000e").robot.home_position[2] - distance
+    scenario = hs.Scenario.from_mapping(
+        {
+            "name": "arm",
+            "robot": {"preset": "moog_6dof2000e"},
+            "camera": {
+                "focal_pixels": 1000.0,
+                "mount": {"position": [0.0, 0.0, -share * distance]},
+                "period": 0.05,
+                "latency": 0.05,
+            },
+            "target": {
+                "tag": {"size": 0.5 * (1.0 - share), "pose": [0.0, 0.0, height, 0.0, 0.0, 0.0]},
+                "desired_pose": [0.0, 0.0, 0.0, *turn],
+            },
+            "controller": {"law": "tracking", "tracking": {"auto": {"bandwidth": 0.5}, "follow": "direction"}},
+            "sensors": {"pose": "encoders"},
+            "actuators": {"kind": "position", "position": {"bandwidth": 4.0}},
+            "simulation": {"mode": "sampled", "step": 0.0125, "duration": 20.0},
+        }
+    )
+    run = hs.simulate(scenario)
+    twist = Rotation.from_quat(run.quaternion[-1], scalar_first=True).as_rotvec() - turn
+    print(f"{np.abs(run.feature_error[-1]).max():.2e} px, {np.abs(twist).max():.2e} rad from the goal")
+    assert np.abs(run.feature_error[-1]).max() < 0.2
+    assert np.abs(twist).max() < 1e-4
+
+
 @pytest.mark.parametrize("jump", [1.5, 6.0])
 def test_a_direction_beyond_the_jump_begins_the_filter_again(jump: float) -> None:
     """A frame at 0.97 and at 1.03 of the square root of b(jump), n = 3, in deviations of z - x: R/(1 - alpha).
