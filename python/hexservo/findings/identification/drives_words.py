@@ -106,6 +106,7 @@ def _verdict(found: Drives) -> Verdict:
         return "bad"
     known = all(one is not None and one.is_bounded for fit in found.fits for one in _values(fit))
     alike = not any(_of_a_limit(found, name) for name in LIMITS)
+    alike = alike and not any(fit.rounding_matters for fit in found.taken)
     return "good" if known and alike and all((fit.explained or 0.0) >= GOOD for fit in found.fits) else "warning"
 
 
@@ -133,7 +134,7 @@ def _sentences(found: Drives) -> list[str]:
             f"{'it' if len(poor) == 1 else 'them'}. Legs that the platform couples, such as soft ones, answer each "
             "other's commands; `--motors` fits motors and platform together."
         )
-    words += _of_the_edges(found)
+    words += [*_of_the_edges(found), *_of_whole_ticks(found), *_of_offsets(found)]
     bandwidths = [fit.bandwidth.value for fit in found.taken if fit.bandwidth is not None and fit.response_is_known]
     if max(bandwidths, default=0.0) > _ALIKE * min(bandwidths, default=0.0):
         words.append(
@@ -211,6 +212,35 @@ def _of_the_edges(found: Drives) -> list[str]:
             "determine them, and not 2 zeta/omega either."
         )
     return [*words, _of_the_keys(response_of(found))] if doubtful else words
+
+
+def _of_whole_ticks(found: Drives) -> list[str]:
+    """Return what to know of a delay that is no whole number of ticks, as the key is."""
+    moved = [fit for fit in found.taken if fit.rounded > fit.noise]
+    if not moved or found.whole_delay >= MOST_DELAY:
+        return []
+    worst = max(moved, key=lambda fit: fit.rounded)
+    delays = sorted(fit.delay.value for fit in found.taken if fit.delay is not None)
+    extremes = list(dict.fromkeys(number(delay) for delay in (delays[0], delays[-1])))
+    return [
+        f"The delay is {' to '.join(extremes)} ticks, and the key `actuators.delay` is in whole ones: with "
+        f"{found.whole_delay}, the response to these commands is off by up to {number(1e3 * worst.rounded)} "
+        f"{found.units.small} (RMS, leg {worst.leg}), {number(100 * worst.rounded / worst.motion)} % of the motion. "
+        "A log with shorter ticks gives a scenario with a finer delay."
+    ]
+
+
+def _of_offsets(found: Drives) -> list[str]:
+    """Return what to know of readings that are not where the commands are, at rest."""
+    off = [(fit.leg, fit.offset) for fit in found.taken if fit.offset is not None and fit.is_offset]
+    if not off:
+        return []
+    legs = ", ".join(f"leg {leg} by {number(1e3 * offset.value)}" for leg, offset in off)
+    return [
+        f"At rest the joints are beyond their commands: {legs} {found.units.small}, whichever side they come from, as "
+        "by the zero of an encoder, or by weight. The fit takes it out, and no key has it: calibrate the zeros, or the "
+        "machine is off by that where the scenario is not."
+    ]
 
 
 def _of_a_limit(found: Drives, name: LimitName) -> list[str]:
