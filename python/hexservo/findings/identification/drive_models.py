@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 
 from hexservo import _core
 from hexservo.findings.identification.interval import Interval, correlated, deviations, half_width
-from hexservo.findings.identification.log import leg_moves
+from hexservo.findings.identification.log import leg_moves, predicted_share
 from hexservo.findings.identification.rests import Rests
 from hexservo.scenario.arrays import Array, Mask
 
@@ -55,10 +55,7 @@ class Record:
     def explained(self, predicted: Array) -> float | None:
         """Return the share of the motion that is predicted (n,) where nothing is fitted; None without motion there."""
         apart = slice(self.fitted, None)
-        if not leg_moves(self.commands, self.joints, apart):
-            return None
-        left = self.joints[apart] - predicted[apart]
-        return 1.0 - float(np.mean(left**2)) / float(np.var(self.joints[apart]))
+        return predicted_share(self.commands, self.joints, predicted[apart], apart)
 
     def response(self, values: Array, base: int | None = None, ticks: int | None = None, finer: int = 1) -> Array:
         """Return the reading at each tick, (n,), or at the first ones alone, or at `finer` equal steps in each tick.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from hexservo.findings.evidence import Cell, Column, Curves, Line, Section, Table, Verdict
 from hexservo.findings.identification.drives import GOOD, MOST_DELAY, DriveFit, Drives
 from hexservo.findings.identification.interval import Interval
+from hexservo.findings.identification.log import JUDGED
 from hexservo.findings.identification.motors import MotorFit
 from hexservo.findings.identification.one_drive import AGREEMENT, LIMITS, LimitName, Response, limit_of, response_of
 from hexservo.scenario.wording import below, number
@@ -126,6 +127,7 @@ def _sentences(found: Drives) -> list[str]:
     if len(moved) < 6:
         still = _legs(fit for fit in found.fits if fit.bandwidth is None)
         words.append(f"Not commanded to move by more than their noise, or at rest, and not identified: {still}.")
+    words += of_still_legs([fit.leg for fit in moved if fit.explained is None])
     if not found.explains:
         return words
     if poor := [fit for fit in moved if fit not in found.taken]:
@@ -304,6 +306,16 @@ def curves_of(found: Drives | MotorFit, leg: int, what: str) -> Curves:
 def at_most(explained: float) -> str:
     """Return the share of a motion that a model predicts which is not of the machine: "no more than 12 %"."""
     return f"no more than {number(100 * explained)} %" if explained > 0.0 else "nothing"
+
+
+def of_still_legs(legs: Sequence[int]) -> list[str]:
+    """Return that no prediction is judged of some legs; [] of none, and of all, of which another sentence states it."""
+    if not 0 < len(legs) < 6:
+        return []
+    return [
+        f"No prediction is judged of leg{'s' if len(legs) > 1 else ''} {', '.join(map(str, legs))}, whose motion in "
+        f"the part kept apart is less than {JUDGED:.0f} times the noise of the readings. Larger jumps determine more."
+    ]
 
 
 def of_correlation(of: str, ticks: float, lacking: str) -> list[str]:
