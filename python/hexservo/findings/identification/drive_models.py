@@ -37,7 +37,7 @@ _AT_END = 1e-3  # of a tick from `MOST_DELAY`: no different from it
 
 
 @dataclass(frozen=True, eq=False)
-class Record:
+class LegRecord:
     """One leg in a log."""
 
     commands: Array  # (n,), with what friction makes of them
@@ -110,7 +110,7 @@ class Model:
 
     base: int | None  # whole delay that the fitted one is about [ticks]; None of a delay that was given
     limits: tuple[bool, bool]  # of speed and acceleration
-    values: Array  # (9,) see `Record.response`
+    values: Array  # (9,) see `LegRecord.response`
     free: Mask  # (9,) which of them were fitted
     sigma: Array  # (f,) standard deviations of those: of the logarithms of the first four
     sigma_of_lag: float  # of the logarithm of 2 zeta/omega
@@ -193,7 +193,7 @@ class Model:
 
 
 def fit_model(
-    record: Record,
+    record: LegRecord,
     start: Array,
     limits: tuple[bool, bool],
     delays: tuple[int, int] | None = None,
@@ -269,7 +269,7 @@ def fit_model(
     )
 
 
-def starts(record: Record, delay: int, limits: tuple[float, float]) -> list[Array]:
+def starts(record: LegRecord, delay: int, limits: tuple[float, float]) -> list[Array]:
     """Return the values of a coarse grid with a delay and limits, those first that explain the record best."""
     measured = record.joints[: record.fitted]
     fastest = 0.4 / record.period

@@ -21,8 +21,8 @@ from hexservo.findings.identification.drive_models import (
     MOST_DELAY,
     OFFSET,
     SPEED,
+    LegRecord,
     Model,
-    Record,
     fit_model,
     starts,
 )
@@ -192,12 +192,12 @@ def fit_drives(
     return replace(drives, if_exchanged=_if_exchanged(log, drives, fitted, delays))
 
 
-def _rounded(drives: Drives, records: Sequence[Record], found: Sequence[list[Model]]) -> tuple[DriveFit, ...]:
+def _rounded(drives: Drives, records: Sequence[LegRecord], found: Sequence[list[Model]]) -> tuple[DriveFit, ...]:
     """Return the drives with what the delay in whole ticks, which a scenario has, moves each by."""
     if not drives.taken:
         return drives.fits
 
-    def rounded(fit: DriveFit, record: Record, best: Model) -> DriveFit:
+    def rounded(fit: DriveFit, record: LegRecord, best: Model) -> DriveFit:
         whole = float(drives.whole_delay)
         if fit.delay is None or fit.delay.low <= whole <= fit.delay.high:
             return fit
@@ -223,15 +223,15 @@ def _if_exchanged(log: Log, drives: Drives, fitted: int, delays: Sequence[int]) 
     return explained if clearly else None
 
 
-def _record(log: Log, leg: int, fitted: int) -> Record:
+def _record(log: Log, leg: int, fitted: int) -> LegRecord:
     commands, joints = log.commands[:, leg], log.joints[:, leg]
     rests = find_rests(commands, joints)
     drawn = with_friction(commands, joints, rests)
     shifted = rests.same if rests is not None and drawn is not commands else 0.0
-    return Record(drawn, joints, log.period, fitted, rests, shifted)
+    return LegRecord(drawn, joints, log.period, fitted, rests, shifted)
 
 
-def _search(record: Record, delays: Sequence[int]) -> list[Model]:
+def _search(record: LegRecord, delays: Sequence[int]) -> list[Model]:
     """Fit the delays in whole ticks, those that are likely with each limit that may act, and any number about these.
 
     A limit that a whole delay seems to need is none where another delay does without: those of whole ticks are only
@@ -268,7 +268,7 @@ def _best(models: Sequence[Model]) -> Model:
     return _ordered(models)[0]
 
 
-def _compare_legs(records: Sequence[Record], found: Sequence[list[Model]], delays: Sequence[int]) -> None:
+def _compare_legs(records: Sequence[LegRecord], found: Sequence[list[Model]], delays: Sequence[int]) -> None:
     """Try with each leg what is best for the leg that moved most clearly: the drives of a machine are alike."""
     clear = [_best(models) for models in found if models]
     if not clear:
@@ -280,7 +280,7 @@ def _compare_legs(records: Sequence[Record], found: Sequence[list[Model]], delay
             models.append(_finally(record, start, guide.limits, delays))
 
 
-def _refined(record: Record, models: Sequence[Model], delays: Sequence[int]) -> list[Model]:
+def _refined(record: LegRecord, models: Sequence[Model], delays: Sequence[int]) -> list[Model]:
     """Fit again, with delays of any number of ticks, and with limits in finer steps.
 
     The steps in which a limit begins or ends to act are of second order: with the core's own, of a leg of 11 Hz and
@@ -297,13 +297,13 @@ def _refined(record: Record, models: Sequence[Model], delays: Sequence[int]) -> 
     return [_finally(record, one.values, one.limits, delays) for one in chosen]
 
 
-def _finally(record: Record, start: Array, limits: tuple[bool, bool], delays: Sequence[int]) -> Model:
+def _finally(record: LegRecord, start: Array, limits: tuple[bool, bool], delays: Sequence[int]) -> Model:
     if len(delays) > 1:
         return fit_model(record, start, limits, (min(delays), max(delays)))
     return fit_model(record, start, limits, finer=FINER)
 
 
-def _described(record: Record, leg: int, models: Sequence[Model]) -> tuple[DriveFit, Array]:
+def _described(record: LegRecord, leg: int, models: Sequence[Model]) -> tuple[DriveFit, Array]:
     """Return what the best model states, and what it predicts at equal steps in all ticks."""
     finer = int(np.clip(_MOST_STEPS // len(record.joints), 1, FINER))
     if not models:
@@ -335,7 +335,7 @@ def _described(record: Record, leg: int, models: Sequence[Model]) -> tuple[Drive
     )
 
 
-def _extremes(record: Record) -> tuple[float, float]:
+def _extremes(record: LegRecord) -> tuple[float, float]:
     """Return the largest speed and acceleration of the measured leg, but for their noise, over a few ticks."""
     width = max(2, round(0.02 / record.period))
     steps = (record.joints[width:] - record.joints[:-width]) / (width * record.period)
@@ -354,7 +354,7 @@ def _hull(best: Model, alike: Sequence[Model], index: int) -> Interval:
     return _over(float(best.values[index]), [model.interval(index) for model in alike if model.free[index]])
 
 
-def _offset(record: Record, best: Model, alike: Sequence[Model]) -> Interval:
+def _offset(record: LegRecord, best: Model, alike: Sequence[Model]) -> Interval:
     found = _over(float(best.values[OFFSET]), [one.offset for one in alike], of_factors=False)
     return Interval(found.value - record.shifted, found.low - record.shifted, found.high - record.shifted)
 

@@ -182,7 +182,7 @@ def joint_deviations(readings: Array) -> Array:
     return np.asarray(NORMAL * np.median(differences, axis=0) / np.sqrt(comb(2 * _DIFFERENCES, _DIFFERENCES)))
 
 
-def noise_of(joints: Array) -> float:
+def reading_noise(joints: Array) -> float:
     """Return the standard deviation of a coordinate's (n,) noise, from readings one after the other, or its rounding.
 
     Rounding to steps of d has the variance d^2/12, of which a leg at rest shows nothing.
@@ -207,7 +207,7 @@ def leg_moves(commands: Array, joints: Array, part: slice, least: float = _MOTIO
     way = float(np.ptp(commands[part]))
     if way == 0.0 or way <= _STILL * scatter(joints) or float(np.ptp(joints[part])) == 0.0:
         return False
-    return float(np.std(joints[part])) > least * noise_of(joints)
+    return float(np.std(joints[part])) > least * reading_noise(joints)
 
 
 def predicted_share(commands: Array, joints: Array, predicted: Array, part: slice) -> float | None:
