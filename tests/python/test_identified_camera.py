@@ -20,7 +20,6 @@ from hexservo.findings.identification.frame_clock import clock
 from hexservo.findings.identification.frames import CameraFit, _of_one_speed, fit_camera
 from hexservo.findings.identification.frames_noise import (
     Scatter,
-    joint_deviations,
     moved_by,
     overstated,
     rounding_deviations,
@@ -29,7 +28,7 @@ from hexservo.findings.identification.frames_noise import (
 )
 from hexservo.findings.identification.frames_repeated import repeats
 from hexservo.findings.identification.interval import Interval, deviations, robust_deviations
-from hexservo.findings.identification.log import Frames, Log
+from hexservo.findings.identification.log import Frames, Log, joint_deviations
 from recorded_machines import Drive, record, see
 from test_identification import METRES, SEED, commands_of, seen_log, within
 

@@ -119,7 +119,7 @@ def in_whole_ticks(machine: Scenario, changes: Mapping[str, Any]) -> dict[str, A
 
 def _of_drives(drives: Drives, machine: Scenario, step: float) -> dict[str, Any]:
     changes: dict[str, Any] = {}
-    delay = round(float(np.median([fit.delay.value for fit in drives.taken if fit.delay is not None])))
+    delay = drives.whole_delay
     if delay < MOST_DELAY:  # at which the true one may be longer
         changes["actuators.delay"] = _whole(delay * step, step)
     if (response := response_of(drives)) is not None:

@@ -8,23 +8,33 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from itertools import product
 
 import numpy as np
-from scipy.optimize import least_squares
 from scipy.stats import chi2
 
-from hexservo import _core
-from hexservo.findings.identification.interval import LEVEL, Interval, correlated, deviations
-from hexservo.findings.identification.log import FITTED, LEAST_EXPLAINED, Log, leg_moves, scatter
+from hexservo.findings.identification.drive_models import (
+    ACCELERATION,
+    BANDWIDTH,
+    DAMPING,
+    DELAY,
+    FINER,
+    MOST_DELAY,
+    OFFSET,
+    SPEED,
+    LegRecord,
+    Model,
+    fit_model,
+    starts,
+)
+from hexservo.findings.identification.interval import LEVEL, Interval
+from hexservo.findings.identification.log import FITTED, LEAST_EXPLAINED, Log, scatter
 from hexservo.findings.identification.rests import Rests, find_rests, with_friction
 from hexservo.findings.part import Part
 from hexservo.run.progress import ProgressCallback
-from hexservo.scenario.arrays import Array, Mask
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.leg_units import LegUnits
 
-MOST_DELAY = _core.MAX_ACTUATOR_DELAY  # [ticks]
-"""Most ticks of delay, as `actuators.delay` has it."""
+__all__ = ["MOST_DELAY", "DriveFit", "Drives", "are_enough", "fit_drives"]
 
 MAJORITY = 4
 """Legs of which a value is known, for a scenario to have it."""
@@ -32,20 +42,13 @@ MAJORITY = 4
 GOOD = 0.95
 """Share of the part kept apart that a model should predict."""
 
-_BANDWIDTHS = 9  # of a coarse grid, from 1/400 of the fastest that ticks show
-_DAMPINGS = (0.35, 0.8, 1.6)
 _LIMITS = ((False, False), (True, False), (False, True), (True, True))  # of speed and acceleration: which act
 _NONE = (np.inf, np.inf)
-_SLOWEST, _FASTEST = 0.05, 0.6  # bandwidths that are searched: times the record, and times a tick
-_LEAST_DAMPED, _MOST_DAMPED = 0.01, 50.0
-_EDGE = 1.001  # ratio to an end of what is searched that is no different from it
 _TRIED = 3  # delays that are fitted of those that start best
 _WHITE = 1.3  # ticks over which residuals of a fit that found the true drive are correlated, at most
 _STARTS = 4  # from which a fit is tried again whose residuals are correlated further
-_WORTH = 10.0  # of the criterion by Bayes: what a limit must gain to count
 _LESS = 0.25  # of what a fit leaves in the part kept apart: with less, commands and joints are exchanged
-_FINER = 8  # parts of a tick, each in the core's steps: of fits with limits in the end, and of a log that is not long
-_MOST_STEPS = 400_000  # of these
+_MOST_STEPS = 400_000  # parts of ticks, of a log that is not long
 
 
 @dataclass(frozen=True)
@@ -66,6 +69,21 @@ class DriveFit:
     rests: Rests | None = None  # how far from its command friction leaves it; None where the log has too few rests
     lag: Interval | None = None  # 2 zeta/omega [s], of a leg with a slow pole all that a log determines; None as above
     at_edge: bool = False  # the best fit is at an edge of what is searched: its lag is no estimate
+    offset: Interval | None = None  # of what is measured from what is commanded, at rest [m], or [rad]; None as above
+    rounded: float = 0.0  # what `Drives.whole_delay` moves the response by (RMS) [m; rad]; 0 within the interval
+    motion: float = 0.0  # standard deviation of the response [m], or [rad]
+
+    @property
+    def rounding_matters(self) -> bool:
+        """Whether a delay in whole ticks moves the response by more than noise, and by a part of its motion."""
+        return self.rounded > self.noise and self.rounded > (1.0 - GOOD) * self.motion
+
+    @property
+    def is_offset(self) -> bool:
+        """Whether readings are beyond commands at rest, by more than the noise of one of them."""
+        return self.offset is not None and abs(self.offset.value) > max(
+            self.noise, self.offset.high - self.offset.value
+        )
 
     @property
     def response_is_known(self) -> bool:
@@ -93,6 +111,11 @@ class Drives(Part):
     def moved(self) -> list[DriveFit]:
         """The drives of which something is known."""
         return [fit for fit in self.fits if fit.bandwidth is not None]
+
+    @property
+    def whole_delay(self) -> int:
+        """The delay of a scenario, which has whole ticks: the median of the legs that keys are taken from, rounded."""
+        return round(float(np.median([fit.delay.value for fit in self.taken if fit.delay is not None])))
 
     @property
     def worst(self) -> DriveFit | None:
@@ -125,43 +148,6 @@ def are_enough(known: int, moved: int) -> bool:
     return known > 0 and (known == moved or known >= MAJORITY)
 
 
-@dataclass(frozen=True, eq=False)
-class _Record:
-    """One leg in a log."""
-
-    commands: Array  # (n,), with what friction makes of them
-    joints: Array  # (n,)
-    period: float
-    fitted: int  # ticks that are fitted
-    rests: Rests | None = None
-
-    @property
-    def moves(self) -> bool:
-        """Whether the leg moves in what is fitted."""
-        return leg_moves(self.commands, self.joints, slice(self.fitted))
-
-    def explained(self, predicted: Array) -> float | None:
-        """Return the share of the motion that is predicted (n,) where nothing is fitted; None without motion there."""
-        apart = slice(self.fitted, None)
-        if not leg_moves(self.commands, self.joints, apart):
-            return None
-        left = self.joints[apart] - predicted[apart]
-        return 1.0 - float(np.mean(left**2)) / float(np.var(self.joints[apart]))
-
-    def response(self, delay: int, values: Array, ticks: int | None = None, finer: int = 1) -> Array:
-        """Return the coordinate at each tick, (n,), or at the first ones alone, or at `finer` steps in each tick.
-
-        The values are bandwidth, damping, speed and acceleration limit; place and rate at the first tick; the command
-        that was given before it.
-        """
-        bandwidth, damping, speed, acceleration, place, rate, before = values
-        count = len(self.commands) if ticks is None else ticks
-        commands = np.concatenate([np.full(delay, before), self.commands[: max(0, count - delay)]])[:count]
-        return _core.drive_response(
-            np.repeat(commands, finer), place, rate, self.period / finer, bandwidth, damping, speed, acceleration
-        )
-
-
 def fit_drives(
     log: Log, units: LegUnits, report: ProgressCallback | None = None, delays: Sequence[int] = range(MOST_DELAY + 1)
 ) -> Drives:
@@ -176,16 +162,17 @@ def fit_drives(
     report
         Is called with the legs done, and 6.
     delays
-        Those that are tried [ticks].
+        Whole ticks that the search begins with; what is found is any number from the least to the largest of these. One
+        alone is given, and not searched.
     """
     fitted = int(FITTED * len(log.time))
     records = [_record(log, leg, fitted) for leg in range(6)]
-    found: list[list[_Model]] = []
+    found: list[list[Model]] = []
     for leg, record in enumerate(records):
         found.append(_search(record, delays) if record.moves else [])
         if report is not None:
             report(leg + 1, 6)
-    _compare_legs(records, found)
+    _compare_legs(records, found, delays)
     described = [_described(record, leg + 1, found[leg]) for leg, record in enumerate(records)]
     finely = np.stack([prediction for _, prediction in described], axis=1)
     predicted = finely[:: len(finely) // len(log.time)]
@@ -201,7 +188,27 @@ def fit_drives(
         predicted=predicted[shown],
         finely=finely,
     )
+    drives = replace(drives, fits=_rounded(drives, records, found))
     return replace(drives, if_exchanged=_if_exchanged(log, drives, fitted, delays))
+
+
+def _rounded(drives: Drives, records: Sequence[LegRecord], found: Sequence[list[Model]]) -> tuple[DriveFit, ...]:
+    """Return the drives with what the delay in whole ticks, which a scenario has, moves each by."""
+    if not drives.taken:
+        return drives.fits
+
+    def rounded(fit: DriveFit, record: LegRecord, best: Model) -> DriveFit:
+        whole = float(drives.whole_delay)
+        if fit.delay is None or fit.delay.low <= whole <= fit.delay.high:
+            return fit
+        values = best.values.copy()
+        values[DELAY] = whole
+        own = record.response(best.values, best.base)
+        off = record.response(values, finer=FINER)[::FINER] - own
+        return replace(fit, rounded=float(np.sqrt((off**2).mean())), motion=float(own.std()))
+
+    each = zip(drives.fits, records, found, strict=True)
+    return tuple(rounded(fit, record, _best(models)) if models else fit for fit, record, models in each)
 
 
 def _if_exchanged(log: Log, drives: Drives, fitted: int, delays: Sequence[int]) -> float | None:
@@ -211,51 +218,57 @@ def _if_exchanged(log: Log, drives: Drives, fitted: int, delays: Sequence[int]) 
         return None
     record = _record(replace(log, commands=log.joints, joints=log.commands), worst.leg - 1, fitted)
     best = _best(_search(record, delays))
-    explained = record.explained(record.response(best.delay, best.values))
+    explained = record.explained(record.response(best.values, best.base))
     clearly = explained is not None and explained >= GOOD and 1.0 - explained < _LESS * (1.0 - worst.explained)
     return explained if clearly else None
 
 
-def _record(log: Log, leg: int, fitted: int) -> _Record:
+def _record(log: Log, leg: int, fitted: int) -> LegRecord:
     commands, joints = log.commands[:, leg], log.joints[:, leg]
     rests = find_rests(commands, joints)
-    return _Record(with_friction(commands, joints, rests), joints, log.period, fitted, rests)
+    drawn = with_friction(commands, joints, rests)
+    shifted = rests.same if rests is not None and drawn is not commands else 0.0
+    return LegRecord(drawn, joints, log.period, fitted, rests, shifted)
 
 
-def _search(record: _Record, delays: Sequence[int]) -> list[_Model]:
-    """Fit the delays, and those that are likely with each limit that may act."""
-    speed, acceleration = _extremes(record)
-    free, bound = (
-        {delay: _start(record, delay, limits) for delay in delays} for limits in (_NONE, (speed, acceleration))
-    )
-    models = [_model(record, delay, free[delay], _LIMITS[0]) for delay in delays]
-    models += [_model(record, delay, bound[delay], _LIMITS[-1]) for delay in delays]
-    likely = list(dict.fromkeys(model.delay for model in _ordered(models)))[:_TRIED]
-    models += [_model(record, delay, bound[delay], limits) for delay in likely for limits in _LIMITS[1:-1]]
-    best = _best(models)
+def _search(record: LegRecord, delays: Sequence[int]) -> list[Model]:
+    """Fit the delays in whole ticks, those that are likely with each limit that may act, and any number about these.
+
+    A limit that a whole delay seems to need is none where another delay does without: those of whole ticks are only
+    starts, where more than one is tried.
+    """
+    extremes = _extremes(record)
+    free, bound = ({delay: starts(record, delay, limits)[0] for delay in delays} for limits in (_NONE, extremes))
+    models = [fit_model(record, free[delay], _LIMITS[0]) for delay in delays]
+    models += [fit_model(record, bound[delay], _LIMITS[-1]) for delay in delays]
+    likely = list(dict.fromkeys(model.whole for model in _ordered(models)))[:_TRIED]
+    models += [fit_model(record, bound[delay], limits) for delay in likely for limits in _LIMITS[1:-1]]
+    found = _refined(record, models, delays)
+    best = _best(found)
     if best.correlated <= _WHITE:
-        return models
+        return found
     # Limits make several minima: this may be none of the true drive, or the drive none of this kind.
-    near = [delay for delay in delays if abs(delay - best.delay) <= 1]
-    return models + [
-        _model(record, delay, start, limits)
+    near = [delay for delay in delays if abs(delay - best.whole) <= 1]
+    again = [
+        fit_model(record, start, limits)
         for delay in near
-        for limits, extremes in ((_LIMITS[1], (speed, np.inf)), (_LIMITS[-1], (speed, acceleration)))
-        for start in _starts(record, delay, extremes)[:_STARTS]
+        for limits, limited in ((_LIMITS[1], (extremes[0], np.inf)), (_LIMITS[-1], extremes))
+        for start in starts(record, delay, limited)[:_STARTS]
     ]
+    return found + _refined(record, again, delays)
 
 
-def _ordered(models: Sequence[_Model]) -> list[_Model]:
+def _ordered(models: Sequence[Model]) -> list[Model]:
     """Return the best one first; how many residuals are independent follows from the one that leaves least."""
     effective = min(models, key=lambda model: model.squares).effective
     return sorted(models, key=lambda model: model.criterion(effective))
 
 
-def _best(models: Sequence[_Model]) -> _Model:
+def _best(models: Sequence[Model]) -> Model:
     return _ordered(models)[0]
 
 
-def _compare_legs(records: Sequence[_Record], found: Sequence[list[_Model]]) -> None:
+def _compare_legs(records: Sequence[LegRecord], found: Sequence[list[Model]], delays: Sequence[int]) -> None:
     """Try with each leg what is best for the leg that moved most clearly: the drives of a machine are alike."""
     clear = [_best(models) for models in found if models]
     if not clear:
@@ -263,47 +276,52 @@ def _compare_legs(records: Sequence[_Record], found: Sequence[list[_Model]]) -> 
     guide = max(clear, key=lambda model: model.clarity)
     for record, models in zip(records, found, strict=True):
         if models:
-            own = _best(models).values
-            start = np.concatenate([guide.values[:4], own[4:]])
-            models.append(_model(record, guide.delay, start, guide.limits))
+            start = np.concatenate([guide.values[:4], _best(models).values[4:DELAY], guide.values[DELAY:]])
+            models.append(_finally(record, start, guide.limits, delays))
 
 
-def _refined(record: _Record, models: Sequence[_Model]) -> list[_Model]:
-    """Fit those with limits again, in finer steps, that the record does not tell from the best one.
+def _refined(record: LegRecord, models: Sequence[Model], delays: Sequence[int]) -> list[Model]:
+    """Fit again, with delays of any number of ticks, and with limits in finer steps.
 
     The steps in which a limit begins or ends to act are of second order: with the core's own, of a leg of 11 Hz and
     ticks of 20 ms, they are off by ten micrometres, and bias bandwidth and damping by several per cent.
     """
-    near = _alike(_best(models), models)
-    return [
-        _model(record, one.delay, one.values, one.limits, _FINER) if any(one.limits) and one in near else one
-        for one in models
-    ]
+    if len(delays) == 1:
+        near = _alike(_best(models), models)
+        return [
+            _finally(record, one.values, one.limits, delays) if any(one.limits) and one in near else one
+            for one in models
+        ]
+    best = [[one for one in _ordered(models) if one.limits == limits] for limits in _LIMITS]
+    chosen = [one for some, count in zip(best, (_TRIED, 1, 1, 1), strict=True) for one in some[:count]]
+    return [_finally(record, one.values, one.limits, delays) for one in chosen]
 
 
-def _described(record: _Record, leg: int, models: Sequence[_Model]) -> tuple[DriveFit, Array]:
+def _finally(record: LegRecord, start: Array, limits: tuple[bool, bool], delays: Sequence[int]) -> Model:
+    if len(delays) > 1:
+        return fit_model(record, start, limits, (min(delays), max(delays)))
+    return fit_model(record, start, limits, finer=FINER)
+
+
+def _described(record: LegRecord, leg: int, models: Sequence[Model]) -> tuple[DriveFit, Array]:
     """Return what the best model states, and what it predicts at equal steps in all ticks."""
-    finer = int(np.clip(_MOST_STEPS // len(record.joints), 1, _FINER))
+    finer = int(np.clip(_MOST_STEPS // len(record.joints), 1, FINER))
     if not models:
         still = np.full(finer * len(record.joints), record.joints[: record.fitted].mean())
         return DriveFit(leg, None, None, None, None, None, 0.0, 0.0, scatter(record.joints), 1.0, None), still
-    models = _refined(record, models)
     best = _best(models)
     alike = _alike(best, models)
-    delays = [model.delay for model in alike]
-    predicted = record.response(best.delay, best.values, finer=_FINER)[::_FINER]
+    predicted = record.response(best.values, best.base, finer=FINER)[::FINER]
     return (
         DriveFit(
             leg=leg,
-            bandwidth=_hull(best, alike, 0),
-            damping=_hull(best, alike, 1),
+            bandwidth=_hull(best, alike, BANDWIDTH),
+            damping=_hull(best, alike, DAMPING),
             # A limit that hardly acts may make a fit singular, and leaves the lag as it is.
             lag=_over(best.lag.value, [one.lag for one in alike if one is best or np.isfinite(one.sigma_of_lag)]),
-            delay=Interval(
-                float(best.delay), float(min(delays)), np.inf if max(delays) == MOST_DELAY else float(max(delays))
-            ),
-            speed_limit=_hull(best, alike, 2) if best.limits[0] else None,
-            acceleration_limit=_hull(best, alike, 3) if best.limits[1] else None,
+            delay=_over(best.delay.value, [one.delay for one in alike], of_factors=False),
+            speed_limit=_hull(best, alike, SPEED) if best.limits[0] else None,
+            acceleration_limit=_hull(best, alike, ACCELERATION) if best.limits[1] else None,
             fastest=float(np.abs(np.diff(predicted[: record.fitted])).max() / record.period),
             hardest=float(np.abs(np.diff(predicted[: record.fitted], n=2)).max() / record.period**2),
             noise=best.noise,
@@ -311,143 +329,13 @@ def _described(record: _Record, leg: int, models: Sequence[_Model]) -> tuple[Dri
             explained=record.explained(predicted),
             rests=record.rests,
             at_edge=best.at_edge,
+            offset=_offset(record, best, alike),
         ),
-        record.response(best.delay, best.values, finer=finer),
+        record.response(best.values, best.base, finer=finer),
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Model:
-    """A least-squares fit with a given delay and limits that may act."""
-
-    delay: int
-    limits: tuple[bool, bool]  # of speed and acceleration
-    values: Array  # (7,) see `_Record.response`
-    free: Mask  # (7,) which of them were fitted
-    sigma: Array  # (f,) of those: of the logarithms, but for the last three
-    sigma_of_lag: float  # of the logarithm of 2 zeta/omega
-    squares: float  # sum of the residuals' squares
-    count: int  # residuals
-    correlated: float
-    motion: float  # standard deviation of what was measured
-    searched: Array  # (4, 2) least and largest of the first four values that were searched
-
-    @property
-    def noise(self) -> float:
-        return float(np.sqrt(self.squares / (self.count - self.free.sum())))
-
-    @property
-    def clarity(self) -> float:
-        """How much larger the motion is than what the fit leaves."""
-        return self.motion / self.noise
-
-    @property
-    def effective(self) -> float:
-        """How many independent residuals there are."""
-        return self.count / self.correlated
-
-    def criterion(self, effective: float) -> float:
-        """Return Bayes' information criterion for so many independent residuals, and what a limit must gain."""
-        price = np.log(effective) * self.free.sum() + _WORTH * sum(self.limits)
-        return float(effective * np.log(self.squares / self.count) + price)
-
-    def interval(self, index: int) -> Interval:
-        """Return the confidence interval of one of the first four values."""
-        place = int(self.free[:index].sum())
-        found = Interval.of_logarithm(float(self.values[index]), float(self.sigma[place]))
-        return found.opened(*self._within(index))
-
-    @property
-    def lag(self) -> Interval:
-        """The confidence interval of 2 zeta/omega [s].
-
-        At an edge of what is searched nothing is known of it, but of a leg with a slow pole: there any bandwidth from
-        some on, with the damping that keeps the lag, is the same response.
-        """
-        bandwidth, damping = (float(value) for value in self.values[:2])
-        found = Interval.of_logarithm(damping / (np.pi * bandwidth), self.sigma_of_lag)
-        return Interval(found.value, -np.inf, np.inf) if self.at_edge else found
-
-    @property
-    def at_edge(self) -> bool:
-        inside = all(low < self.values[index] < high for index in (0, 1) for low, high in [self._within(index)])
-        return not inside and float(self.values[1]) <= 1.0
-
-    def _within(self, index: int) -> tuple[float, float]:
-        """Return the ends of what is searched, but for rounding."""
-        lowest, highest = self.searched[index]
-        return _EDGE * lowest, highest / _EDGE
-
-
-def _model(record: _Record, delay: int, start: Array, limits: tuple[bool, bool], finer: int = 1) -> _Model:
-    measured = record.joints[: record.fitted]
-    free = np.array([True, True, *limits, True, True, delay > 0])
-    values = start.copy()
-    values[2:4] = np.where(limits, values[2:4], np.inf)
-    scale = max(float(np.ptp(measured)), np.finfo(float).tiny)
-
-    slow, fast = _SLOWEST / (record.fitted * record.period), _FASTEST / record.period
-    searched = np.array([[slow, fast], [_LEAST_DAMPED, _MOST_DAMPED], [1e-12, 1e12], [1e-12, 1e12]])
-    lowest, highest = np.log(searched).T
-
-    units = np.array([scale, scale / record.period, scale])
-
-    def unpacked(x: Array) -> Array:
-        found = values.copy()
-        found[free] = x
-        found[:4] = np.where(free[:4], np.exp(np.where(free[:4], found[:4], 0.0)), values[:4])
-        found[4:] = np.where(free[4:], found[4:] * units, values[4:])
-        return found
-
-    def residuals(x: Array) -> Array:
-        left = record.response(delay, unpacked(x), record.fitted, finer)[::finer] - measured
-        return np.where(np.isfinite(left), left, 1e3 * scale) / scale
-
-    logs = np.clip(np.log(np.maximum(values[:4][free[:4]], 1e-12)), lowest[free[:4]], highest[free[:4]])
-    first = np.concatenate([logs, (values[4:] / units)[free[4:]]])
-    edge = np.full(int(free[4:].sum()), np.inf)
-    bounds = [np.r_[lowest[free[:4]], -edge], np.r_[highest[free[:4]], edge]]
-    fit = least_squares(residuals, first, bounds=bounds, x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-12, max_nfev=60)
-    left = fit.fun * scale
-    largest = max(float(np.abs(measured).max()), float(np.abs(record.commands).max()))
-    floor = len(left) * (8 * np.finfo(float).eps * largest) ** 2  # of rounding
-    together = correlated(left)
-    independent = len(left) / together
-    by_lag = fit.jac.copy()
-    by_lag[:, 0] += by_lag[:, 1]  # by the bandwidth with the lag held: the next column is then by the lag
-    return _Model(
-        delay,
-        limits,
-        unpacked(fit.x),
-        free,
-        deviations(fit.jac, fit.fun, independent),
-        float(deviations(by_lag, fit.fun, independent)[1]),
-        float(left @ left) + floor,
-        len(left),
-        together,
-        float(np.std(measured)),
-        searched,
-    )
-
-
-def _start(record: _Record, delay: int, limits: tuple[float, float]) -> Array:
-    """Return the values of a coarse grid that explain the record best with a delay and limits."""
-    return _starts(record, delay, limits)[0]
-
-
-def _starts(record: _Record, delay: int, limits: tuple[float, float]) -> list[Array]:
-    """Return all values of that grid, the best ones first."""
-    measured = record.joints[: record.fitted]
-    fastest = 0.4 / record.period
-    tried = []
-    for bandwidth, damping in product(np.geomspace(fastest / 400.0, fastest, _BANDWIDTHS), _DAMPINGS):
-        values = np.array([bandwidth, damping, *limits, measured[0], 0.0, record.commands[0]])
-        left = record.response(delay, values, record.fitted) - measured
-        tried.append((float(left @ left), values))
-    return [values for _, values in sorted(tried, key=lambda one: one[0])]
-
-
-def _extremes(record: _Record) -> tuple[float, float]:
+def _extremes(record: LegRecord) -> tuple[float, float]:
     """Return the largest speed and acceleration of the measured leg, but for their noise, over a few ticks."""
     width = max(2, round(0.02 / record.period))
     steps = (record.joints[width:] - record.joints[:-width]) / (width * record.period)
@@ -455,16 +343,22 @@ def _extremes(record: _Record) -> tuple[float, float]:
     return float(np.quantile(np.abs(steps), 0.99)), float(np.quantile(np.abs(changes), 0.99))
 
 
-def _alike(best: _Model, models: Sequence[_Model]) -> list[_Model]:
+def _alike(best: Model, models: Sequence[Model]) -> list[Model]:
     """Return the models that the likelihood does not distinguish from the best one, which is one of them."""
     bound = float(chi2.ppf(LEVEL, 1))
     return [one for one in models if best.effective * np.log(one.squares / best.squares) <= bound]
 
 
-def _hull(best: _Model, alike: Sequence[_Model], index: int) -> Interval:
+def _hull(best: Model, alike: Sequence[Model], index: int) -> Interval:
     """Return the interval of one of the first four values over all models that may be the true one and have it."""
     return _over(float(best.values[index]), [model.interval(index) for model in alike if model.free[index]])
 
 
-def _over(value: float, found: Sequence[Interval]) -> Interval:
-    return Interval(value, min(one.low for one in found), max(one.high for one in found)).determined()
+def _offset(record: LegRecord, best: Model, alike: Sequence[Model]) -> Interval:
+    found = _over(float(best.values[OFFSET]), [one.offset for one in alike], of_factors=False)
+    return Interval(found.value - record.shifted, found.low - record.shifted, found.high - record.shifted)
+
+
+def _over(value: float, found: Sequence[Interval], *, of_factors: bool = True) -> Interval:
+    over = Interval(value, min(one.low for one in found), max(one.high for one in found))
+    return over.determined() if of_factors else over

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from hexservo.findings.evidence import Cell, Column, Curves, Line, Section, Table, Verdict
 from hexservo.findings.identification.drives import GOOD, MOST_DELAY, DriveFit, Drives
 from hexservo.findings.identification.interval import Interval
+from hexservo.findings.identification.log import JUDGED
 from hexservo.findings.identification.motors import MotorFit
 from hexservo.findings.identification.one_drive import AGREEMENT, LIMITS, LimitName, Response, limit_of, response_of
 from hexservo.scenario.wording import below, number
@@ -106,6 +107,7 @@ def _verdict(found: Drives) -> Verdict:
         return "bad"
     known = all(one is not None and one.is_bounded for fit in found.fits for one in _values(fit))
     alike = not any(_of_a_limit(found, name) for name in LIMITS)
+    alike = alike and not any(fit.rounding_matters for fit in found.taken)
     return "good" if known and alike and all((fit.explained or 0.0) >= GOOD for fit in found.fits) else "warning"
 
 
@@ -125,6 +127,7 @@ def _sentences(found: Drives) -> list[str]:
     if len(moved) < 6:
         still = _legs(fit for fit in found.fits if fit.bandwidth is None)
         words.append(f"Not commanded to move by more than their noise, or at rest, and not identified: {still}.")
+    words += of_still_legs([fit.leg for fit in moved if fit.explained is None])
     if not found.explains:
         return words
     if poor := [fit for fit in moved if fit not in found.taken]:
@@ -133,7 +136,7 @@ def _sentences(found: Drives) -> list[str]:
             f"{'it' if len(poor) == 1 else 'them'}. Legs that the platform couples, such as soft ones, answer each "
             "other's commands; `--motors` fits motors and platform together."
         )
-    words += _of_the_edges(found)
+    words += [*_of_the_edges(found), *_of_whole_ticks(found), *_of_offsets(found)]
     bandwidths = [fit.bandwidth.value for fit in found.taken if fit.bandwidth is not None and fit.response_is_known]
     if max(bandwidths, default=0.0) > _ALIKE * min(bandwidths, default=0.0):
         words.append(
@@ -213,6 +216,35 @@ def _of_the_edges(found: Drives) -> list[str]:
     return [*words, _of_the_keys(response_of(found))] if doubtful else words
 
 
+def _of_whole_ticks(found: Drives) -> list[str]:
+    """Return what to know of a delay that is no whole number of ticks, as the key is."""
+    moved = [fit for fit in found.taken if fit.rounded > fit.noise]
+    if not moved or found.whole_delay >= MOST_DELAY:
+        return []
+    worst = max(moved, key=lambda fit: fit.rounded)
+    delays = sorted(fit.delay.value for fit in found.taken if fit.delay is not None)
+    extremes = list(dict.fromkeys(number(delay) for delay in (delays[0], delays[-1])))
+    return [
+        f"The delay is {' to '.join(extremes)} ticks, and the key `actuators.delay` is in whole ones: with "
+        f"{found.whole_delay}, the response to these commands is off by up to {number(1e3 * worst.rounded)} "
+        f"{found.units.small} (RMS, leg {worst.leg}), {number(100 * worst.rounded / worst.motion)} % of the motion. "
+        "A log with shorter ticks gives a scenario with a finer delay."
+    ]
+
+
+def _of_offsets(found: Drives) -> list[str]:
+    """Return what to know of readings that are not where the commands are, at rest."""
+    off = [(fit.leg, fit.offset) for fit in found.taken if fit.offset is not None and fit.is_offset]
+    if not off:
+        return []
+    legs = ", ".join(f"leg {leg} by {number(1e3 * offset.value)}" for leg, offset in off)
+    return [
+        f"At rest the joints are beyond their commands: {legs} {found.units.small}, whichever side they come from, as "
+        "by the zero of an encoder, or by weight. The fit takes it out, and no key has it: calibrate the zeros, or the "
+        "machine is off by that where the scenario is not."
+    ]
+
+
 def _of_a_limit(found: Drives, name: LimitName) -> list[str]:
     """Return what to know of a limit that some legs show and others do not, or of which no value is known."""
     limit, key = limit_of(found, name), f"`actuators.position.{name}`"
@@ -274,6 +306,16 @@ def curves_of(found: Drives | MotorFit, leg: int, what: str) -> Curves:
 def at_most(explained: float) -> str:
     """Return the share of a motion that a model predicts which is not of the machine: "no more than 12 %"."""
     return f"no more than {number(100 * explained)} %" if explained > 0.0 else "nothing"
+
+
+def of_still_legs(legs: Sequence[int]) -> list[str]:
+    """Return that no prediction is judged of some legs; [] of none, and of all, of which another sentence states it."""
+    if not 0 < len(legs) < 6:
+        return []
+    return [
+        f"No prediction is judged of leg{'s' if len(legs) > 1 else ''} {', '.join(map(str, legs))}, whose motion in "
+        f"the part kept apart is less than {JUDGED:.0f} times the noise of the readings. Larger jumps determine more."
+    ]
 
 
 def of_correlation(of: str, ticks: float, lacking: str) -> list[str]:

@@ -24,7 +24,6 @@ from hexservo.findings.identification.frames_noise import (
     agree,
     image_of_noise,
     is_motion,
-    joint_deviations,
     moved_by,
     overstated,
     rounding_deviations,
@@ -34,7 +33,7 @@ from hexservo.findings.identification.frames_noise import (
 from hexservo.findings.identification.frames_repeated import repeats
 from hexservo.findings.identification.interval import Interval, correlated, half_width, robust_deviations
 from hexservo.findings.identification.joint_motion import JointMotion
-from hexservo.findings.identification.log import FITTED, LEAST_EXPLAINED, Frames, Log, leg_moves
+from hexservo.findings.identification.log import FITTED, LEAST_EXPLAINED, Frames, Log, joint_deviations, leg_moves
 from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.pixels import to_features

@@ -7,38 +7,21 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
-from scipy.special import comb
 from scipy.stats import chi2
 
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.identification.drives import Drives
-from hexservo.findings.identification.interval import LEVEL, NORMAL, Interval
-from hexservo.findings.identification.log import Log
+from hexservo.findings.identification.interval import LEVEL, Interval
+from hexservo.findings.identification.log import RESOLVED, Log
 from hexservo.scenario.arrays import Array
 
-_DIFFERENCES = 6  # of readings one after the other: they have little of a motion, and much of white noise
 _NOISE = 0.5  # share of the differences' power that a fit of the drives leaves of noise, at least
-_RESOLVED = 12  # decimals of readings [m; rad], beyond which two differ by the arithmetic of a driver alone
 _REACH = 15  # ticks from which on a reading does not act in a spline, to 1e-8
 _KNOWN_TO = 0.1  # share of the joints' power in the image that is not known
 _MOST_DEVIATION = 0.25  # of frames' times that is searched [s]
 _ALIKE = 0.25  # share of a jitter that two of its estimates may differ by
 _TIMES_TO = 5e-5  # to which the deviation of frames' times is searched [s]
-
-
-def joint_deviations(readings: Array) -> Array:
-    """Return the standard deviation of the white noise of each joint, (6,) [m; rad].
-
-    It is too large where a tick is long for the motion (`is_motion`): then a spline is off by as much between two.
-
-    Parameters
-    ----------
-    readings
-        (n, 6) of the joints at the ticks, or what a model leaves of them [m; rad].
-    """
-    differences = np.abs(np.diff(readings, n=_DIFFERENCES, axis=0))
-    return np.asarray(NORMAL * np.median(differences, axis=0) / np.sqrt(comb(2 * _DIFFERENCES, _DIFFERENCES)))
 
 
 def rounding_deviations(readings: Array, deviations: Array) -> Array:
@@ -55,7 +38,7 @@ def rounding_deviations(readings: Array, deviations: Array) -> Array:
     deviations
         (6,) of their white noise, as by `joint_deviations`, which has the rounding of readings in motion [m; rad].
     """
-    steps = np.concatenate([np.diff(np.unique(np.round(leg, _RESOLVED))) for leg in readings.T])
+    steps = np.concatenate([np.diff(np.unique(np.round(leg, RESOLVED))) for leg in readings.T])
     step = float(steps.min()) if len(steps) else 0.0
     return np.asarray(np.sqrt(np.maximum(step**2 / 12.0 - deviations**2, 0.0)))
 

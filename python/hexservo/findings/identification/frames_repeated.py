@@ -6,8 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hexservo.findings.identification.frames_noise import joint_deviations
-from hexservo.findings.identification.log import Frames, Log
+from hexservo.findings.identification.log import Frames, Log, joint_deviations
 from hexservo.scenario.arrays import Array, Mask
 
 _BY_ITSELF = 0.05  # of the frames that are equal to the one before: more are equal since the image is rounded, or rests

@@ -13,7 +13,9 @@ from numbers import Real
 from pathlib import Path
 
 import numpy as np
+from scipy.special import comb
 
+from hexservo.findings.identification.interval import NORMAL
 from hexservo.findings.identification.mcap_log import period_of, read_mcap
 from hexservo.scenario.arrays import Array, real_numbers
 from hexservo.scenario.fields import described
@@ -27,7 +29,13 @@ FITTED = 0.7
 """Share of a log that models are fitted to; the rest shows how well they predict."""
 LEAST_EXPLAINED = 0.5
 """Share of the motion in that rest that a model has to predict: one that predicts less is of something else."""
+JUDGED = 5.0
+"""Standard deviations of the noise, of those of a leg's readings that a prediction is judged by: noise is 4 % of it."""
+RESOLVED = 12
+"""Decimals of readings [m; rad], beyond which two differ by the arithmetic of a driver alone."""
 _STILL = 5.0  # standard deviations of the noise that a leg has to move by
+_MOTION = 1.4  # of readings over that of their noise, where the leg moves: half of the variance
+_DIFFERENCES = 6  # of readings one after the other: they have little of a motion, and much of white noise
 _FEWEST = 50  # rows: with fewer there is nothing to fit
 _LONGEST = 0.5  # [s]: no machine is commanded more seldom
 _UNEVEN = 0.05  # of the period: most that a tick may be off its place
@@ -160,8 +168,32 @@ def scatter(joints: Array) -> float:
     return float(np.std(np.diff(joints))) / float(np.sqrt(2.0))
 
 
-def leg_moves(commands: Array, joints: Array, part: slice) -> bool:
-    """Return whether a leg was commanded to move by more than its noise in a part of a log, and moved at all.
+def joint_deviations(readings: Array) -> Array:
+    """Return the standard deviation of the white noise of each joint, (6,) [m; rad].
+
+    It is too large where a tick is long for the motion (`is_motion`): then a spline is off by as much between two.
+
+    Parameters
+    ----------
+    readings
+        (n, 6) of the joints at the ticks, or what a model leaves of them [m; rad]; (n,) of one.
+    """
+    differences = np.abs(np.diff(readings, n=_DIFFERENCES, axis=0))
+    return np.asarray(NORMAL * np.median(differences, axis=0) / np.sqrt(comb(2 * _DIFFERENCES, _DIFFERENCES)))
+
+
+def reading_noise(joints: Array) -> float:
+    """Return the standard deviation of a coordinate's (n,) noise, from readings one after the other, or its rounding.
+
+    Rounding to steps of d has the variance d^2/12, of which a leg at rest shows nothing.
+    """
+    steps = np.diff(np.unique(np.round(joints, RESOLVED)))
+    step = float(steps.min()) if len(steps) else 0.0
+    return max(float(joint_deviations(joints)), step / float(np.sqrt(12.0)))
+
+
+def leg_moves(commands: Array, joints: Array, part: slice, least: float = _MOTION) -> bool:
+    """Return whether a leg was commanded to move by more than its noise in a part of a log, and moved beyond it.
 
     Parameters
     ----------
@@ -169,9 +201,36 @@ def leg_moves(commands: Array, joints: Array, part: slice) -> bool:
         (n,) of the leg in the whole log [m; rad].
     part
         Ticks that count.
+    least
+        Standard deviation of the readings there, in those of the noise.
     """
     way = float(np.ptp(commands[part]))
-    return way > 0.0 and way > _STILL * scatter(joints) and float(np.ptp(joints[part])) > 0.0
+    if way == 0.0 or way <= _STILL * scatter(joints) or float(np.ptp(joints[part])) == 0.0:
+        return False
+    return float(np.std(joints[part])) > least * reading_noise(joints)
+
+
+def predicted_share(commands: Array, joints: Array, predicted: Array, part: slice) -> float | None:
+    """Return the share of a leg's motion (variance) in a part of a log that is predicted, 1: all.
+
+    Parameters
+    ----------
+    commands, joints
+        (n,) of the leg in the whole log [m; rad].
+    predicted
+        (k,) coordinates at the ticks of the part [m; rad].
+    part
+        Ticks that count.
+
+    Returns
+    -------
+    float or None
+        None where the readings vary by less than 5 times their noise: a leg that friction holds has nothing but noise,
+        which no model predicts.
+    """
+    if not leg_moves(commands, joints, part, JUDGED):
+        return None
+    return 1.0 - float(np.mean((joints[part] - predicted) ** 2)) / float(np.var(joints[part]))
 
 
 def _make_arrays(record: Frames | Log, names: Sequence[str]) -> None:

@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 from hexservo import _core
 from hexservo.findings.identification.drives import MOST_DELAY, Drives
 from hexservo.findings.identification.interval import Interval, correlated, deviations, half_width
-from hexservo.findings.identification.log import FITTED, LEAST_EXPLAINED, Log, leg_moves
+from hexservo.findings.identification.log import FITTED, LEAST_EXPLAINED, Log, predicted_share
 from hexservo.findings.part import Part
 from hexservo.run.progress import ProgressCallback
 from hexservo.scenario.arrays import Array
@@ -52,6 +52,7 @@ class MotorFit(Part):
     error: float  # root mean square of the prediction's error in the part kept apart [m], or [rad]
     error_of_drives: float  # the same of six responses without coupling (`Drives`)
     explained: float | None  # share of the variance kept apart that is predicted, of the worst leg; None: none moves
+    still: tuple[int, ...]  # legs, 1 to 6, that move too little there for a prediction to be judged
     units: LegUnits = field(repr=False)
     time: Array = field(repr=False)  # (k,) of the part kept apart, thinned [s]
     measured: Array = field(repr=False)  # (k, 6)
@@ -231,9 +232,8 @@ def _result(
         intervals["friction"] = Interval(0.0, 0.0, intervals["friction"].high)
     predicted, measured = plant.response(best.delay, values)[fitted:], log.joints[fitted:]
     every = max(1, -(-len(measured) // _CURVE))
-    moved = [leg for leg in range(6) if leg_moves(log.commands[:, leg], log.joints[:, leg], slice(fitted, None))]
-    left = predicted[:, moved] - measured[:, moved]
-    shares = list(1.0 - (left**2).mean(axis=0) / measured[:, moved].var(axis=0))
+    apart = slice(fitted, None)
+    shares = [predicted_share(log.commands[:, leg], log.joints[:, leg], predicted[:, leg], apart) for leg in range(6)]
     return MotorFit(
         **intervals,
         delay=best.delay,
@@ -242,7 +242,8 @@ def _result(
         correlated=best.correlated,
         error=_rms(predicted - measured),
         error_of_drives=_rms(drives.predicted - drives.measured),
-        explained=min(shares, default=None),
+        explained=min((share for share in shares if share is not None), default=None),
+        still=tuple(leg + 1 for leg, share in enumerate(shares) if share is None),
         units=leg_units(machine.robot),
         time=log.time[fitted:][::every],
         measured=measured[::every],

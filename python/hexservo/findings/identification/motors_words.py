@@ -8,7 +8,13 @@ import numpy as np
 
 from hexservo.findings.evidence import Column, Section, Table, Verdict
 from hexservo.findings.identification.drives import MOST_DELAY
-from hexservo.findings.identification.drives_words import at_most, curves_of, of_correlation, with_interval
+from hexservo.findings.identification.drives_words import (
+    at_most,
+    curves_of,
+    of_correlation,
+    of_still_legs,
+    with_interval,
+)
 from hexservo.findings.identification.motors import MotorFit
 from hexservo.scenario.wording import number
 
@@ -38,6 +44,7 @@ def section(found: MotorFit) -> Section:
         f"Mass and inertia of the platform, and the limit of {number(found.limit)} {found.units.effort}, are those of "
         "the machine that was given.",
     ]
+    words += of_still_legs(found.still)
     if not found.explains and found.explained is not None:
         words.append(
             f"That is {at_most(found.explained)} of the motion of a leg: the machine does not move as this model, and "
