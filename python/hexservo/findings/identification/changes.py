@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +17,7 @@ from hexservo.findings.identification.one_drive import LIMITS, limit_of, respons
 from hexservo.findings.part import Part
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.laws import POSE_LAW
+from hexservo.scenario.parameters import oldest_image
 from hexservo.scenario.pixels import feature_noise
 from hexservo.scenario.scenario import Scenario
 
@@ -118,6 +119,33 @@ def in_whole_ticks(machine: Scenario, changes: Mapping[str, Any]) -> dict[str, A
         if abs(given - ticks * step) > _WHOLE * max(step, abs(given)):
             rounded[key] = _whole(float(ticks) * step, step)
     return rounded
+
+
+def raised_timeout(
+    machine: Scenario, changes: Mapping[str, Any], faults: Callable[[Scenario], Mapping[str, Any]]
+) -> dict[str, Any]:
+    """Return the `camera.timeout` that lets the frames of a log arrive, where that of the machine is shorter.
+
+    Parameters
+    ----------
+    machine
+        That was given.
+    changes
+        Keys that the log gives.
+    faults
+        Of the scenario with these: as the log has the machine, with wrong times of exposure.
+    """
+    if machine.camera.timeout is None:
+        return {}
+    known = {**changes, **in_whole_ticks(machine, changes)}
+    ticks = round(machine.camera.timeout / known["simulation.step"])
+    scenario = machine.updated(known | {"camera.timeout": None})
+    oldest = oldest_image(scenario.updated(faults(scenario)))
+    return (
+        {"camera.timeout": _whole(oldest * scenario.simulation.step, scenario.simulation.step)}
+        if oldest > ticks
+        else {}
+    )
 
 
 def _of_drives(drives: Drives, machine: Scenario, step: float) -> dict[str, Any]:
