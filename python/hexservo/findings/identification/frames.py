@@ -34,8 +34,8 @@ from hexservo.findings.identification.frames_repeated import repeats
 from hexservo.findings.identification.interval import Interval, correlated, half_width, robust_deviations
 from hexservo.findings.identification.joint_motion import JointMotion
 from hexservo.findings.identification.log import FITTED, LEAST_EXPLAINED, Frames, Log, leg_moves
+from hexservo.findings.identification.predicted_images import MOST_LATENCY, PredictedImages
 from hexservo.findings.identification.rounding import grid_of
-from hexservo.findings.identification.sight import MOST_LATENCY, Sight
 from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array
 
@@ -175,7 +175,7 @@ def fit_camera(log: Log, scene: Scene, drives: Drives | None = None) -> CameraFi
     period, dropout = clock(frames.arrival if frames.exposure is None else frames.exposure) or (None, None)
     rounding = grid_of(frames.features[:, ::2], frames.features[:, 1::2])
     joints = JointMotion.of(log, drives)
-    sight = Sight.of(log, frames, scene, joints)
+    sight = PredictedImages.of(log, frames, scene, joints)
     joint_noise = joint_deviations(joints.left)
     fit, outliers = _cleaned(sight, log, joint_noise, stamped=stamped)
     if isinstance(fit, str):
@@ -226,7 +226,9 @@ def _not_fitted(scene: Scene, frames: Frames) -> str:
 _Fit = tuple[Interval, dict[str, Any]]  # the shift of the frames' times [s], and fields of `CameraFit`
 
 
-def _cleaned(sight: Sight, log: Log, joint_noise: Array, *, stamped: bool) -> tuple[_Fit | str, Outliers | None]:
+def _cleaned(
+    sight: PredictedImages, log: Log, joint_noise: Array, *, stamped: bool
+) -> tuple[_Fit | str, Outliers | None]:
     """Return what `_fit` does without the frames that have wrong detections, and these."""
     fit, seen = _fit(sight, log, joint_noise, stamped=stamped), None
     left_out = np.zeros(len(sight.times), dtype=bool)
@@ -247,7 +249,7 @@ def _cleaned(sight: Sight, log: Log, joint_noise: Array, *, stamped: bool) -> tu
     return fit, seen
 
 
-def _fit(sight: Sight, log: Log, joint_noise: Array, *, stamped: bool) -> _Fit | str:
+def _fit(sight: PredictedImages, log: Log, joint_noise: Array, *, stamped: bool) -> _Fit | str:
     """Return the shift of the frames' times [s] and the fields of `CameraFit` that the motion gives, or why none."""
     count = len(sight.times)
     if count < _FEWEST:
@@ -338,7 +340,7 @@ class _Placed:
 
 
 def _placed_by_weights(
-    part: Sight,
+    part: PredictedImages,
     placed: _Placed,
     late: float,
     at_once: Array,
@@ -419,7 +421,7 @@ def _of_one_speed(scatter_by: Callable[[Array], Scatter], at_once: Array, over: 
     return replace(found, of_ticks=True)
 
 
-def _predicted(sight: Sight, log: Log, late: float, displacement: Array, fitted: int) -> float | None:
+def _predicted(sight: PredictedImages, log: Log, late: float, displacement: Array, fitted: int) -> float | None:
     """Return the share of the image motion that is predicted after the frames that are fitted; None of one at rest."""
     apart = slice(int(np.searchsorted(log.time, sight.times[fitted] - late)), None)
     if not any(leg_moves(log.commands[:, leg], log.joints[:, leg], apart) for leg in range(6)):

@@ -11,7 +11,7 @@ from hexservo.findings.identification.drives_words import at_most, with_interval
 from hexservo.findings.identification.frames import SEEN, CameraFit
 from hexservo.findings.identification.frames_outliers import Outliers
 from hexservo.findings.identification.interval import Interval
-from hexservo.findings.identification.sight import MOST_LATENCY
+from hexservo.findings.identification.predicted_images import MOST_LATENCY
 from hexservo.scenario.wording import number
 
 _TITLE = "Camera"

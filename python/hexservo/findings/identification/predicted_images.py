@@ -22,7 +22,7 @@ _BETWEEN = 0.5  # share of what an image by every second tick is off by that one
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
+class PredictedImages:
     """The image at any time of a log, for any place of the target."""
 
     scene: Scene
@@ -33,7 +33,7 @@ class Sight:
     centre: Array  # (3,) of the target [m]
 
     @classmethod
-    def of(cls, log: Log, frames: Frames, scene: Scene, joints: JointMotion) -> Sight:
+    def of(cls, log: Log, frames: Frames, scene: Scene, joints: JointMotion) -> PredictedImages:
         """Return the frames of which the joints are known at all times that are searched."""
         stamped = frames.exposure is not None
         times = frames.arrival if frames.exposure is None else frames.exposure
@@ -42,7 +42,7 @@ class Sight:
         features = to_features(scene.scenario, frames.features[inside])
         return cls(scene, joints, features, times[inside], margin, scene.points.mean(axis=0))
 
-    def only(self, frames: Mask | slice) -> Sight:
+    def only(self, frames: Mask | slice) -> PredictedImages:
         """Return the same of some of the frames."""
         return replace(self, features=self.features[frames], times=self.times[frames])
 
