@@ -337,6 +337,12 @@ def test_gains_that_are_worse_than_the_original_ones_are_not_good(
         assert known.section().verdict == "warning"
         said = f"worse case found {found} smallest margin that it found is -0.575"
         assert any(said in sentence for sentence in known.section().sentences)
+    lower = dataclasses.replace(better, worst=(0.5 * better.worst[0],))
+    assert "found none, but there are worse ones: the held-out runs have a " in " ".join(lower.section().sentences)
+    noisy = dataclasses.replace(
+        better, scenario=better.scenario.updated({"simulation.mode": "sampled", "camera.noise": 0.1})
+    )
+    assert any("worse case, with one draw of the noise, found" in sentence for sentence in noisy.section().sentences)
     generation = Generation(1, 10, -3.0, False, (math.nan,), 2)
     (curves,) = dataclasses.replace(result, history=(generation,)).sections()[1].items
     assert isinstance(curves, Curves)

@@ -20,7 +20,7 @@ from hexservo.findings.identification.frames import CameraFit, fit_camera
 from hexservo.findings.identification.interval import Interval
 from hexservo.findings.identification.log import Log
 from recorded_machines import Drive, record, wandering
-from test_identification import METRES, SEED, seen_log
+from test_identification import METRES, SEED, seen_log, try_delays
 from test_identified_camera import drives_of_seen_log
 
 
@@ -332,3 +332,23 @@ def test_images_that_the_joints_do_not_predict_give_no_camera(paper: hs.Scenario
     assert "y up in place of down" in section.sentences[0]
     changes = changes_of(log, paper, drives_of_seen_log(), camera)
     assert not any(key.startswith("camera") for key in changes)
+
+
+@pytest.mark.parametrize("stamps", [None, -0.02])
+def test_a_timeout_that_measured_times_exceed_is_raised_and_named(
+    stamps: float | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By as little as the core takes; frames that are stamped too early are older for the controller."""
+    try_delays(monkeypatch, 1)
+    machine = hs.load_scenario("pi-h824-positions", {"camera.timeout": 0.1, "camera.latency": 0.0})
+    log = seen_log(machine, 0.15, stamps=stamps)
+    found = hs.identify(log, machine)
+    assert found.changes["camera.timeout"] == pytest.approx(0.18 if stamps is None else 0.2)
+    assert found.as_logged.camera.timeout == found.scenario.camera.timeout
+    with pytest.raises(ValueError, match=r"camera\.timeout"):
+        found.as_logged.updated({"camera.timeout": found.scenario.camera.timeout - 0.01})
+    section = found.sections()[-1]
+    assert section.verdict == "warning"
+    assert any("`camera.timeout` of 100 ms conflicts" in sentence for sentence in section.sentences)
+    room = hs.identify(log, machine.updated({"camera.timeout": 0.2}))
+    assert "camera.timeout" not in room.changes

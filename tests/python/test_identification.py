@@ -23,9 +23,10 @@ from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.evidence import Table
 from hexservo.findings.identification.changes import in_whole_ticks, ticks_of
 from hexservo.findings.identification.drives import DriveFit, fit_drives
-from hexservo.findings.identification.frames import MOST_LATENCY, fit_camera
+from hexservo.findings.identification.frames import fit_camera
 from hexservo.findings.identification.interval import Interval, correlated, deviations, half_width
 from hexservo.findings.identification.log import Log
+from hexservo.findings.identification.predicted_images import MOST_LATENCY
 from hexservo.scenario.leg_units import LegUnits
 from hexservo.scenario.parameters import core_parameters
 from recorded_machines import Drive, record, see, wandering

@@ -82,6 +82,20 @@ def test_frames_that_arrive_at_ticks_have_the_period_of_the_camera() -> None:
     assert within(found[0], PERIOD)
 
 
+@pytest.mark.parametrize("jitter", [0.0, 0.002])
+def test_a_slow_beat_of_ticks_and_frames_is_within_the_interval(jitter: float) -> None:
+    """Frames at 30 Hz, to 1e-4, that arrive at ticks of 20 ms: the rounding has the order of three frames."""
+    random, hits, count = np.random.default_rng(SEED), 0, 60
+    for _ in range(count):
+        period = (1.0 + 1e-4 * random.uniform(-1.0, 1.0)) / 30.0
+        times = random.uniform() + period * np.arange(900) + jitter * random.random(900)
+        found = clock(np.ceil(times / 0.02) * 0.02)
+        assert found is not None
+        assert found[0].high - found[0].low < 2e-3 * period
+        hits += within(found[0], period)
+    assert hits >= least_of(count)
+
+
 def test_a_camera_without_a_period_keeps_its_keys(paper: hs.Scenario) -> None:
     log = seen_log(paper, 0.05, stamps=None)
     found = CameraFit(100, latency=None, explained=1.0)

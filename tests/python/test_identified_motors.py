@@ -15,8 +15,17 @@ from hexservo import _core
 from hexservo.cli.commands import app
 from hexservo.findings.identification.changes import changes_of, ticks_of
 from hexservo.findings.identification.drives import MOST_DELAY, fit_drives
+from hexservo.findings.identification.interval import Interval
 from hexservo.findings.identification.log import Log
-from hexservo.findings.identification.motors import _finished, _fitted, _Plant, _values, fit_motors
+from hexservo.findings.identification.motors import (
+    MotorFit,
+    _finished,
+    _fitted,
+    _intervals,
+    _Plant,
+    _values,
+    fit_motors,
+)
 from hexservo.scenario.drives import Motors
 from hexservo.scenario.leg_units import leg_units
 from hexservo.scenario.parameters import core_parameters
@@ -197,3 +206,51 @@ def test_the_command_writes_motors(paper: hs.Scenario, tmp_path: Path, monkeypat
     assert done.exit_code == 0, done.output
     assert "Motors of the legs" in done.output
     assert hs.load_scenario(out).actuators.motor.kp == pytest.approx(machine.actuators.motor.kp, rel=0.02)
+
+
+def test_what_the_log_does_not_determine_is_open() -> None:
+    """Ends that are more than 100 times apart, and friction from 0 to far beyond what is looked for."""
+    values = {"kp": 40.0, "damping": 1.0, "armature": 2e-4, "friction": 1e-5}
+    found = _intervals(values, np.array([0.02, 0.01, 1.7, 20.0]), 1e-4)
+    assert [key for key, one in found.items() if not one.is_bounded] == ["armature"]
+    assert found["friction"] == Interval(0.0, 0.0, pytest.approx(1e-5 * (1 + 1.959964 * 20.0), rel=1e-6))
+    assert not _intervals(values, np.array([0.02, 0.01, 0.1, 2e3]), 1e-4)["friction"].is_bounded
+    friction = _intervals(values | {"friction": 5e-4}, np.array([0.02, 0.01, 0.1, 1.4]), 1e-4)["friction"]
+    assert not friction.is_bounded
+
+
+def motors_of(armature: Interval, **others: object) -> MotorFit:
+    """Motors of which all but the armature is known."""
+    one = {key: Interval(value, 0.9 * value, 1.1 * value) for key, value in (("kp", 40.0), ("damping", 1.0))}
+    curves = np.zeros((3, 6))
+    fields = {"delay": 1, "limit": 0.5, "noise": 1e-4, "correlated": 1.0, "error": 1e-4, "error_of_drives": 2e-4}
+    fields |= {"explained": 0.99, "units": leg_units(hs.load_scenario("reachy-mini").robot), "substeps": 2}
+    curve = {"time": np.arange(3.0), "measured": curves, "predicted": curves}
+    friction = Interval(0.01, 0.009, 0.011)
+    return MotorFit(**(one | {"armature": armature, "friction": friction} | fields | curve | others))  # type: ignore[arg-type]
+
+
+def test_what_the_log_does_not_determine_is_no_key_and_not_good() -> None:
+    known = motors_of(Interval(2e-4, 1e-4, 4e-4))
+    assert known.section().verdict == "good"
+    assert "actuators.motor.armature" in known.changes
+    unknown = Interval(2e-4, -np.inf, np.inf)
+    left = motors_of(unknown, kept=("armature",))
+    assert "actuators.motor.armature" not in left.changes
+    assert "actuators.motor.kp" in left.changes
+    assert left.section().verdict == "warning"
+    assert any("`actuators.motor.armature` is left as it is" in words for words in left.section().sentences)
+    taken = motors_of(unknown)  # where the machine's own would move the legs otherwise
+    assert taken.changes["actuators.motor.armature"] == 2e-4
+    assert taken.section().verdict == "warning"
+    assert any("of which many move the legs alike" in words for words in taken.section().sentences)
+
+
+def test_motors_that_predict_a_part_of_the_motion_are_not_good() -> None:
+    known = Interval(2e-4, 1e-4, 4e-4)
+    section = motors_of(known, explained=0.7, correlated=9.0).section()
+    assert section.verdict == "warning"
+    assert any("70 % of the motion of a leg, and what is left is no noise" in words for words in section.sentences)
+    assert (
+        motors_of(known, explained=0.9, correlated=1.5).section().verdict == "good"
+    )  # noise, of legs that move little

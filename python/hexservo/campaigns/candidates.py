@@ -19,6 +19,7 @@ from hexservo.campaigns.refused import REMEDY
 from hexservo.campaigns.requirements import margin_of, run_distances
 from hexservo.campaigns.search_steps import SearchSteps
 from hexservo.campaigns.tune_keys import TunePlan, Variable
+from hexservo.campaigns.tune_result import LARGER
 from hexservo.campaigns.worst_case import REFUSED, smallest_in_box
 from hexservo.run.batch import BatchResult
 from hexservo.run.variations import changes_of_run
@@ -28,8 +29,7 @@ from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.yaml import ScenarioError
 
 _WORST_RUNS = 400  # of a search for the worst case of a candidate
-_WORSE = 1e-3  # a case joins if it is the first to fail, or its margin is smaller by more than this,
-_LARGER = 1.01  # or a minimised metric larger by more than this factor
+_WORSE = 1e-3  # a case joins if it is the first to fail, or its margin is smaller by more than this, or a metric LARGER
 _ROUNDING = 1e-12  # relative one of gains, and of a range's ends
 _NONE = 1e9  # stands for a metric without a value, in the search for its largest one
 
@@ -369,7 +369,7 @@ class Candidates:
                 _WORST_RUNS,
                 self.seed + 2 + metric,
             )
-            if -smallest > _LARGER * before.values[0, metric]:
+            if -smallest > LARGER * before.values[0, metric]:
                 joining.append(self._at(place_of_largest[None], seeds))
         return joining, margin
 

@@ -18,10 +18,13 @@ from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict, picked
 from hexservo.run.metrics import metric_label, metric_unit
 from hexservo.scenario.fields import described
+from hexservo.scenario.noise import is_random
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number
 
 _PAGE = "docs/tune.md"
+LARGER = 1.01
+"""Factor by which a minimised metric of a worse case is larger, at least."""
 
 
 @dataclass(frozen=True)
@@ -221,16 +224,36 @@ class TuneResult(Findings):
         least = f"the smallest margin that it found is {number(self.worst_margin)}"
         if self.end_margins:
             least += f", at the ends of the front {' and '.join(map(number, self.end_margins))}"
-        if self.settled:
+        draw = ", with one draw of the noise," if is_random(self.scenario) else ""
+        if not self.settled:
+            worse = f"one, which did not join, since the rounds had ended; {least}"
+        elif larger := self._larger_held_out():
+            worse = f"none, but there are worse ones: the held-out runs have {larger}; {least}"
+        else:
             fails = f"{least}; " if min((self.worst_margin, *self.end_margins)) < 0 else ""
             worse = f"none; {fails}{self.joined} worst cases are among the variations"
-        else:
-            worse = f"one, which did not join, since the rounds had ended; {least}"
-        sentences.append(f"The last search for a worse case found {worse}.")
+        sentences.append(f"The last search for a worse case{draw} found {worse}.")
         if self.refused:
             sentences.append(without_refused(self.refused))
         sentences.append(f"The search simulated {self.runs} runs (seed {self.seed}).")
         return sentences
+
+    def _larger_held_out(self) -> str:
+        """Return by what held-out runs are worse than all of the search; empty where none is."""
+        if self.held_out is None:
+            return ""
+        table = self.held_out.to_arrow([*self.minimise, "margin"])
+        largest = [float(table.column(place).to_numpy().max()) for place in range(len(self.minimise))]
+        found = [
+            f"a {name.replace('_', ' ')} of {_shown(held_out, metric_unit(name, self.scenario.robot))}"
+            for name, held_out, own in zip(self.minimise, largest, self.worst, strict=True)
+            if held_out > LARGER * own
+        ]
+        smallest = float(table.column("margin").to_numpy().min())
+        least = min(self.margin, self.worst_margin)
+        if smallest < least and (smallest < 0 or not self.minimise):
+            found.append(f"a margin of {number(smallest)}")
+        return " and ".join(found)
 
     @property
     def _exclusion(self) -> str:

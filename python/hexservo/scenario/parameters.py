@@ -108,18 +108,21 @@ def reading_ticks(scenario: Blocks) -> int:
     return max(1, round(sensors.period / scenario.simulation.step))
 
 
-def timeout_room(scenario: Blocks) -> int | None:
-    """Return by how many servo periods `camera.period` or `camera.latency` alone can grow; None: no `camera.timeout`.
+def oldest_image(scenario: Blocks) -> int:
+    """Return the age of the oldest image that is used where none is lost [servo periods].
 
-    The core refuses a timeout below the oldest age of an image that is never lost (``cpp/src/settings.cpp``).
+    The core refuses a `camera.timeout` below it (``cpp/src/settings.cpp``).
     """
     camera, step = scenario.camera, scenario.simulation.step
-    if camera.timeout is None:
-        return None
     late = max(scenario.uncertainty.latency, 0.0)
     oldest = sum(round(each / step) for each in (frame_period(scenario), camera.latency, camera.latency_jitter, late))
-    waits = reading_ticks(scenario) - 1 if scenario.controller.traits.output == "pose" else 0
-    return round(camera.timeout / step) - oldest - waits
+    return oldest + (reading_ticks(scenario) - 1 if scenario.controller.traits.output == "pose" else 0)
+
+
+def timeout_room(scenario: Blocks) -> int | None:
+    """Return by how many servo periods `camera.period` or `camera.latency` alone can grow; None: no timeout."""
+    timeout = scenario.camera.timeout
+    return None if timeout is None else round(timeout / scenario.simulation.step) - oldest_image(scenario)
 
 
 def image_age(scenario: Blocks) -> float:

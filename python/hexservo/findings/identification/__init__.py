@@ -16,6 +16,7 @@ from hexservo.findings.identification.changes import (
     faults_of,
     in_whole_ticks,
     of_law,
+    raised_timeout,
     ticks_of,
     times_of_camera,
 )
@@ -136,6 +137,7 @@ def identify(
             drives = fit_drives(record, leg_units(machine.robot), delays=(found.delay,))
     changes = changes_of(record, machine, drives, camera, found)
     changes |= of_law(machine, changes)
+    changes |= raised_timeout(machine, changes, lambda scenario: faults_of(scenario, drives, camera))
     rounded = in_whole_ticks(machine, changes)
     scenario = machine.updated(changes | rounded)
     return Identification(

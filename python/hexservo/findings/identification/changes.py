@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,13 +10,15 @@ import numpy as np
 
 from hexservo.findings.evidence import Verdict
 from hexservo.findings.identification.drives import MOST_DELAY, Drives
-from hexservo.findings.identification.frames import CameraFit
+from hexservo.findings.identification.frames import SEEN, CameraFit
 from hexservo.findings.identification.log import Log
 from hexservo.findings.identification.motors import MotorFit
 from hexservo.findings.identification.one_drive import LIMITS, limit_of, response_of
 from hexservo.findings.part import Part
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.laws import POSE_LAW
+from hexservo.scenario.parameters import oldest_image
+from hexservo.scenario.pixels import feature_noise
 from hexservo.scenario.scenario import Scenario
 
 _FEWEST_TICKS = {  # of the times that a scenario has in whole ticks
@@ -29,6 +31,7 @@ _FEWEST_TICKS = {  # of the times that a scenario has in whole ticks
     "sensors.period": 1,
     "actuators.delay": 0,
 }
+_SCATTER = ("camera.noise", "camera.quantisation")
 _WHOLE = 1e-9  # of a tick, or of the time: what is not seen of a difference
 
 
@@ -67,14 +70,15 @@ def changes_of(
 
 
 def of_law(machine: Scenario, changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the noise that the law of a machine assumes, where it assumes one and the log gives it.
+    """Return the noise that the law of a machine assumes, with rounding, where it assumes one and the log gives it.
 
     With less than the camera has, its filter takes noise for a target that is somewhere else.
     """
-    noise = changes.get("camera.noise", 0.0)
-    if machine.controller.law != POSE_LAW or noise <= 0.0:
+    if machine.controller.law != POSE_LAW or "camera.noise" not in changes:
         return {}
-    return {"controller.tracking.noise": noise}
+    camera = machine.updated({key: changes[key] for key in _SCATTER if key in changes}).camera
+    noise = feature_noise(camera)
+    return {"controller.tracking.noise": _digits(noise)} if noise > 0.0 else {}
 
 
 def faults_of(scenario: Scenario, drives: Drives, camera: CameraFit | None) -> dict[str, Any]:
@@ -117,6 +121,33 @@ def in_whole_ticks(machine: Scenario, changes: Mapping[str, Any]) -> dict[str, A
     return rounded
 
 
+def raised_timeout(
+    machine: Scenario, changes: Mapping[str, Any], faults: Callable[[Scenario], Mapping[str, Any]]
+) -> dict[str, Any]:
+    """Return the `camera.timeout` that lets the frames of a log arrive, where that of the machine is shorter.
+
+    Parameters
+    ----------
+    machine
+        That was given.
+    changes
+        Keys that the log gives.
+    faults
+        Of the scenario with these: as the log has the machine, with wrong times of exposure.
+    """
+    if machine.camera.timeout is None:
+        return {}
+    known = {**changes, **in_whole_ticks(machine, changes)}
+    ticks = round(machine.camera.timeout / known["simulation.step"])
+    scenario = machine.updated(known | {"camera.timeout": None})
+    oldest = oldest_image(scenario.updated(faults(scenario)))
+    return (
+        {"camera.timeout": _whole(oldest * scenario.simulation.step, scenario.simulation.step)}
+        if oldest > ticks
+        else {}
+    )
+
+
 def _of_drives(drives: Drives, machine: Scenario, step: float) -> dict[str, Any]:
     changes: dict[str, Any] = {}
     delay = drives.whole_delay
@@ -139,10 +170,15 @@ def _of_camera(camera: CameraFit, machine: Scenario, step: float) -> dict[str, A
     # at an edge, and where it is correlated, motion that the model lacks is a part of the noise
     if camera.noise is not None and not camera.at_edge and camera.noise_is_white and camera.noise_is_of_camera:
         changes |= {"camera.noise": _digits(camera.noise.value)}
+    if camera.of_rounding > SEEN or machine.camera.quantisation > 0.0:
+        changes |= {"camera.quantisation": _digits(camera.rounding)}
     for key, value in times_of_camera(camera, machine).items():
         changes[key] = max(_FEWEST_TICKS[key] * step, _whole(value, step))
     if camera.dropout is not None:
         changes |= {"camera.dropout": _digits(camera.dropout.value)}
+    if camera.outliers is not None and camera.outliers.are_known:
+        changes |= {"camera.outlier_probability": _digits(camera.outliers.probability.value)}
+        changes |= {"camera.outlier_size": _digits(camera.outliers.size.value)}
     return changes
 
 

@@ -6,6 +6,9 @@ from typing import Any
 
 from hexservo.findings.evidence import Column, Section, Table, Verdict
 from hexservo.findings.identification.changes import Changes
+from hexservo.scenario.wording import number
+
+_TIMEOUT = "camera.timeout"  # a key only where that of the machine is too short
 
 
 def section(found: Changes) -> Section:
@@ -13,6 +16,8 @@ def section(found: Changes) -> Section:
     rows = [[key, _became(found, key), _text(found.given[key])] for key in found.identified]
     verdicts = set(found.verdicts.values())
     verdict: Verdict = "bad" if "bad" in verdicts else "good" if verdicts == {"good"} else "warning"
+    if _TIMEOUT in found.identified and verdict == "good":
+        verdict = "warning"
     rows += [[key, f"{_text(value)} (whole ticks)", _text(found.given[key])] for key, value in found.rounded.items()]
     table = Table(
         "Keys of the scenario",
@@ -23,7 +28,7 @@ def section(found: Changes) -> Section:
     return Section(
         "keys",
         "The scenario",
-        [_sentence(found, verdict), *_of_faults(found)],
+        [_sentence(found, verdict), *_of_timeout(found), *_of_faults(found)],
         (table,),
         verdict,
         {"changes": dict(found.identified), "rounded": dict(found.rounded), "faults": dict(found.faults)},
@@ -34,11 +39,25 @@ def _sentence(found: Changes, verdict: Verdict) -> str:
     if verdict == "good":
         sees = "moves and sees" if "Camera" in found.verdicts else "moves"
         return f"The scenario with these keys {sees} as the log does; law and gains are those that were given."
-    doubtful = " and ".join(f'"{title}"' for title, one in found.verdicts.items() if one != "good")
+    doubtful = [title for title, one in found.verdicts.items() if one != "good"]
+    if not doubtful:
+        return "The scenario with these keys moves and sees as the log does, with a longer timeout than the machine's."
+    parts = " and ".join(f'"{title}"' for title in doubtful)
     return (
-        f"See {doubtful} before you rely on this scenario: what the log does not determine, or what no model predicts, "
+        f"See {parts} before you rely on this scenario: what the log does not determine, or what no model predicts, "
         "is that of the scenario that was given, as law and gains are."
     )
+
+
+def _of_timeout(found: Changes) -> list[str]:
+    if _TIMEOUT not in found.identified:
+        return []
+    given, least = (number(1e3 * one[_TIMEOUT]) for one in (found.given, found.identified))
+    return [
+        f"The `camera.timeout` of {given} ms conflicts with what was measured: period, latency and its scatter leave "
+        f"images up to {least} ms old, which would count as lost. The scenario has {least} ms, the least that has room "
+        "for them. Change the key to what the machine should wait, or make the camera faster."
+    ]
 
 
 def _of_faults(found: Changes) -> list[str]:

@@ -6,10 +6,14 @@ lost. The lowest frequency at which they are is that of the camera, since twice 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+from scipy.optimize import brentq, minimize_scalar
 from scipy.stats import binomtest
 
-from hexservo.findings.identification.interval import LEVEL, Interval
+from hexservo.findings.identification.interval import LEVEL, Interval, correlated
+from hexservo.findings.identification.rounding import grid_of
 from hexservo.scenario.arrays import Array
 
 _MOST_LOST = 0.9  # share of the frames
@@ -20,6 +24,11 @@ _FIRST = 500  # frames from which the period is found at first; with it the othe
 _ROUNDS = 20  # of numbering the frames by a line
 _CHANCE = 0.01  # that phases without any order pass for alike at any of the frequencies
 _MOST_SCATTER = 0.25  # of a period, RMS about the line; phases without any order have 1/sqrt(12)
+
+_MOST_OF_TICK = 0.75  # of a period, that a tick is: frames that are exactly one period apart are not rounded
+_DITHERED = 1.5  # ticks of spread, beyond which jitter makes rounding random
+_SAME = 1e-6  # of a tick
+_RESOLVED = 1e-6  # of the periods that are searched
 
 
 def clock(times: Array) -> tuple[Interval, Interval] | None:
@@ -111,8 +120,35 @@ def _line(times: Array, period: float) -> tuple[Interval, Interval]:
     numbers = _numbers(times, period)
     slope, start = np.polyfit(numbers, times - times[0], 1)
     left = times - times[0] - slope * numbers - start
-    sigma = float(np.sqrt((left @ left) / (len(times) - 2) / ((numbers - numbers.mean()) ** 2).sum()))
+    variance = correlated(left) * float(left @ left) / (len(times) - 2)
+    found = Interval.around(float(slope), float(np.sqrt(variance / ((numbers - numbers.mean()) ** 2).sum())))
+    rounded = _of_rounding(numbers, times - times[0], found.value)
+    found = replace(found, low=min(found.low, rounded[0]), high=max(found.high, rounded[1]))
     taken = max(int(numbers[-1] - numbers[0]) + 1, len(times))
     lost = taken - len(times)
     ends = binomtest(lost, taken).proportion_ci(LEVEL, method="exact")
-    return Interval.around(float(slope), sigma), Interval(lost / taken, float(ends.low), float(ends.high))
+    return found, Interval(lost / taken, float(ends.low), float(ends.high))
+
+
+def _of_rounding(numbers: Array, times: Array, period: float) -> tuple[float, float]:
+    """Return the periods [s] between which numbered frames fit times that are rounded to ticks; else that of the line.
+
+    Where ticks and frames beat slowly, rounding has an order that is not seen as a correlation of successive frames.
+    But it stays within one tick, and so does the spread of the times about the right line. With a jitter of less than
+    half a tick, this is within one and a half; a longer one makes rounding random.
+    """
+    tick = grid_of(times)
+    if not 0.0 < tick < _MOST_OF_TICK * period:
+        return period, period
+
+    def spread(tried: float) -> float:
+        return float(np.ptp(times - tried * numbers))
+
+    widest = 2.0 * _DITHERED * tick / float(np.ptp(numbers))
+    ends, resolved = (period - widest, period + widest), _RESOLVED * widest
+    best = float(minimize_scalar(spread, bounds=ends, method="bounded", options={"xatol": resolved}).x)
+    if spread(best) > _DITHERED * tick:
+        return period, period
+    most = tick * (1.0 + _SAME) if spread(best) <= tick else _DITHERED * tick
+    low, high = (float(brentq(lambda tried: spread(tried) - most, best, end, xtol=resolved)) for end in ends)
+    return low, high

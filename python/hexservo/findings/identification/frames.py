@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from hexservo import _core
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.identification.drives import Drives
@@ -22,7 +21,6 @@ from hexservo.findings.identification.frames_noise import (
     Scatter,
     Weights,
     agree,
-    image_of_noise,
     is_motion,
     moved_by,
     overstated,
@@ -30,16 +28,18 @@ from hexservo.findings.identification.frames_noise import (
     scatter_of,
     spline_shares,
 )
+from hexservo.findings.identification.frames_outliers import Outliers, outliers_of
 from hexservo.findings.identification.frames_repeated import repeats
 from hexservo.findings.identification.interval import Interval, correlated, half_width, robust_deviations
 from hexservo.findings.identification.joint_motion import JointMotion
 from hexservo.findings.identification.log import FITTED, LEAST_EXPLAINED, Frames, Log, joint_deviations, leg_moves
+from hexservo.findings.identification.predicted_images import MOST_LATENCY, PredictedImages
+from hexservo.findings.identification.rounding import grid_of
 from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.pixels import to_features
 
-MOST_LATENCY = 0.25
-"""Largest latency that is looked for [s]."""
+SEEN = 0.01
+"""Share of the scatter of pixels that their rounding has, to be a key."""
 
 _FEWEST = 20  # frames
 _TRIED = 11  # latencies of a coarse grid
@@ -50,11 +50,12 @@ _SAME = 1e-9  # times that differ by less are the same [s]
 _WHITE = 2.0  # frames over which what a fit with the true calibration leaves is correlated, at most
 _MOST_OF_JOINTS = 0.5  # share of what a fit leaves that the joints' noise may explain, for the rest to be of a camera
 _MOST_OF_MOTION = 0.1  # the same of their motion between ticks, whose part is not known as that of noise is
-_BETWEEN = 0.5  # share of what an image by every second tick is off by that one by all ticks may be, at most
+_MOST_OF_ROUNDING = 0.5  # share of what a fit leaves that rounding has, for the rest to be noise where it is correlated
 _WEIGHED = 4  # rounds in which the fit is repeated with the weights of the scatter that it left
 _SETTLED = 0.02  # share that the noise falls by in the last of them
 _SPEEDS = 4  # rounds in which the speed of the image is that over the jitter found
 _APPARENT = 3.0  # [px]: what a displaced target moves the image by from which on the scenario does not see alike
+_CLEANED = 4  # fits at most, each without the wrong detections that the one before shows
 _EDGE = 5e-4  # latencies that are so near to an end of what is searched, or to 0, are no different from it [s]
 
 
@@ -87,6 +88,9 @@ class CameraFit(Part):
     of_joints: float = 0.0  # share of what the fit leaves across the motion that the noise of the joints explains
     ticks_are_coarse: bool = False  # that noise is motion of the joints between ticks
     jitter_of_ticks: bool = False  # the jitter may be motion of the joints between ticks
+    rounding: float = 0.0  # step that pixels are rounded to, whose part is not in `noise` [px]; 0: none
+    of_rounding: float = 0.0  # share of what the fit leaves across the motion that the rounding explains
+    outliers: Outliers | None = None  # wrong detections, whose frames do not count in the fit; None: none
     open: str = ""  # why nothing was found; empty if something was
 
     @property
@@ -103,6 +107,11 @@ class CameraFit(Part):
     def noise_is_of_camera(self) -> bool:
         """Whether what the fit leaves is more than the noise of the joints that the image is predicted from."""
         return self.of_joints <= (_MOST_OF_MOTION if self.ticks_are_coarse else _MOST_OF_JOINTS)
+
+    @property
+    def rounding_is_most(self) -> bool:
+        """Whether what the fit leaves may be rounding, which is correlated where an image moves by less than a step."""
+        return self.of_rounding > _MOST_OF_ROUNDING
 
     @property
     def jitter_is_known(self) -> bool:
@@ -163,17 +172,22 @@ def fit_camera(log: Log, scene: Scene, drives: Drives | None = None) -> CameraFi
             return CameraFit(count, open=f"expected at least {_FEWEST} frames, got {repeated} of {count} repeated")
     stamped = frames.exposure is not None
     period, dropout = clock(frames.arrival if frames.exposure is None else frames.exposure) or (None, None)
+    rounding = grid_of(frames.features[:, ::2], frames.features[:, 1::2])
     joints = JointMotion.of(log, drives)
-    sight = _Sight.of(log, frames, scene, joints)
+    sight = PredictedImages.of(log, frames, scene, joints)
     joint_noise = joint_deviations(joints.left)
-    fit = _fit(sight, log, joint_noise, stamped=stamped)
+    fit, outliers = _cleaned(sight, log, joint_noise, stamped=stamped)
     if isinstance(fit, str):
         return CameraFit(count, period, dropout, repeated=repeated, open=fit)
     shift, of_motion = fit
     coarse = drives is not None and is_motion(joint_noise, drives)
-    found = CameraFit(count, period, dropout, shift, repeated=repeated, ticks_are_coarse=coarse, **of_motion)
-    if not found.noise_is_of_camera:
-        found = replace(found, noise=None)
+    found = CameraFit(
+        count, period, dropout, shift, repeated=repeated, ticks_are_coarse=coarse, outliers=outliers, **of_motion
+    )
+    if not found.noise_is_of_camera or found.noise is None:
+        found = replace(found, noise=None, rounding=rounding)
+    else:
+        found = replace(found, rounding=rounding, **_beside_rounding(found.noise, rounding))
     if frames.exposure is None:
         return found
     late = frames.arrival - frames.exposure
@@ -186,6 +200,13 @@ def fit_camera(log: Log, scene: Scene, drives: Drives | None = None) -> CameraFi
     ends = (end if np.isinf(end) else late_by + side * wide for end, side in ((shift.low, -1), (shift.high, 1)))
     latency = Interval(late_by, *map(float, ends))
     return replace(found, latency=latency, jitter=jitter, stamps=shift, stragglers=len(late) - len(usual))
+
+
+def _beside_rounding(scatter: Interval, step: float) -> dict[str, Any]:
+    """Return the noise beside what rounding to a step [px] adds, and its share: fields of `CameraFit`."""
+    part = step**2 / 12.0
+    noise = Interval(*(float(np.sqrt(max(one**2 - part, 0.0))) for one in (scatter.value, scatter.low, scatter.high)))
+    return {"noise": noise, "of_rounding": min(part / scatter.value**2, 1.0) if scatter.value > 0.0 else 0.0}
 
 
 def _not_fitted(scene: Scene, frames: Frames) -> str:
@@ -201,83 +222,39 @@ def _not_fitted(scene: Scene, frames: Frames) -> str:
     return ""
 
 
-@dataclass(frozen=True, eq=False)
-class _Sight:
-    """The image at any time of a log, for any place of the target."""
-
-    scene: Scene
-    joints: JointMotion
-    features: Array  # (m, 2p) of the pinhole [px]
-    times: Array  # (m,) exposures where they are known, else arrivals [s]
-    latest: float  # a shift of `times` stays below this [s]
-    centre: Array  # (3,) of the target [m]
-
-    @classmethod
-    def of(cls, log: Log, frames: Frames, scene: Scene, joints: JointMotion) -> _Sight:
-        stamped = frames.exposure is not None
-        times = frames.arrival if frames.exposure is None else frames.exposure
-        margin = MOST_LATENCY if not stamped else MOST_LATENCY / 2
-        inside = (times - margin >= log.time[0]) & (times + (margin if stamped else 0.0) <= log.time[-1])
-        features = to_features(scene.scenario, frames.features[inside])
-        return cls(scene, joints, features, times[inside], margin, scene.points.mean(axis=0))
-
-    def poses(self, late: float) -> Poses | None:
-        """Return where the platform was `late` [s] before the frames' times; None where legs do not fit together."""
-        position, quaternion = self.scene.home.position, self.scene.home.quaternion
-        found = []
-        for lengths in self.joints(self.times - late):
-            legs = self.scene.hexapod.forward_kinematics(lengths, position, quaternion)
-            if legs.status != _core.KinematicsStatus.converged:
-                return None
-            position, quaternion = legs.position, legs.quaternion
-            found.append((position, quaternion))
-        return Poses(np.array([one for one, _ in found]), np.array([one for _, one in found]))
-
-    def by_noise(self, deviations: Array, late: float) -> Array:
-        """Return what these deviations of the joints (6,) move the image by, (m, 2p, 6) [px]; 0 without poses."""
-        poses = self.poses(late)
-        none = np.zeros((*self.features.shape, 6))
-        return none if poses is None else image_of_noise(self.scene, poses, deviations)
-
-    def left(self, late: float, displacement: Array, poses: Poses | None = None) -> Array | None:
-        """Return what the image differs by from the frames, (m, 2p) [px], with the target displaced in B [m; rad]."""
-        poses = self.poses(late) if poses is None else poses
-        if poses is None:
-            return None
-        back = Poses(self.centre, np.array([1.0, 0.0, 0.0, 0.0])).moved(
-            np.concatenate([np.zeros(3), -displacement[3:]])
-        )
-        position = back.carried(poses.position - self.centre - displacement[:3])
-        turned = poses.moved(np.concatenate([np.zeros(3), -displacement[3:]])).quaternion
-        features, depth = self.scene.probe.image(position, turned)
-        return np.asarray(features - self.features) if (depth < 0.0).all() else None
-
-    def speed(self, late: float, displacement: Array, width: float) -> Array:
-        """Return the image's mean speed by `late` over a width [s] about it, (m, 2p) [px/s]; 0 without poses."""
-        ends = min(late + width / 2, self.latest), late - width / 2
-        earlier, later = (self.left(end, displacement) for end in ends)
-        if earlier is None or later is None:
-            return np.zeros_like(self.features)
-        return (earlier - later) / (ends[0] - ends[1])
-
-    def between_ticks(self, late: float, displacement: Array) -> Array:
-        """Return what the image may be off by since the motion between ticks is not known, (2, m, 2p) [px].
-
-        It is estimated by images from every second tick, and 0 without poses of these.
-        """
-        usual = self.left(late, displacement)
-        found = [replace(self, joints=joints).left(late, displacement) for joints in self.joints.halved()]
-        differences = [np.zeros_like(self.features) if usual is None or one is None else one - usual for one in found]
-        return _BETWEEN * np.array(differences)
+_Fit = tuple[Interval, dict[str, Any]]  # the shift of the frames' times [s], and fields of `CameraFit`
 
 
-def _fit(sight: _Sight, log: Log, joint_noise: Array, *, stamped: bool) -> tuple[Interval, dict[str, Any]] | str:
+def _cleaned(
+    sight: PredictedImages, log: Log, joint_noise: Array, *, stamped: bool
+) -> tuple[_Fit | str, Outliers | None]:
+    """Return what `_fit` does without the frames that have wrong detections, and these."""
+    fit, seen = _fit(sight, log, joint_noise, stamped=stamped), None
+    left_out = np.zeros(len(sight.times), dtype=bool)
+    for _ in range(_CLEANED):
+        if isinstance(fit, str):
+            break
+        late, target, jitter = fit[0].value, fit[1]["target"], fit[1]["jitter"]
+        left = sight.left(late, target)
+        found = None if left is None else outliers_of(left, sight.speed(late, target, jitter or log.period))
+        frames, now = found or (np.zeros_like(left_out), None)
+        if (frames == left_out).all():
+            seen = now
+            break
+        again = _fit(sight.only(~frames), log, joint_noise, stamped=stamped)
+        if isinstance(again, str):
+            break
+        fit, left_out, seen = again, frames, now
+    return fit, seen
+
+
+def _fit(sight: PredictedImages, log: Log, joint_noise: Array, *, stamped: bool) -> _Fit | str:
     """Return the shift of the frames' times [s] and the fields of `CameraFit` that the motion gives, or why none."""
     count = len(sight.times)
     if count < _FEWEST:
         return f"expected at least {_FEWEST} frames {1e3 * sight.latest:.0f} ms after the start of the log, got {count}"
     fitted = int(FITTED * count)
-    part = _Sight(sight.scene, sight.joints, sight.features[:fitted], sight.times[:fitted], sight.latest, sight.centre)
+    part = sight.only(slice(fitted))
     unit = np.concatenate([np.full(3, sight.scene.depth), np.ones(3)])
     lowest = -sight.latest if stamped else 0.0
 
@@ -362,7 +339,7 @@ class _Placed:
 
 
 def _placed_by_weights(
-    part: _Sight,
+    part: PredictedImages,
     placed: _Placed,
     late: float,
     at_once: Array,
@@ -443,7 +420,7 @@ def _of_one_speed(scatter_by: Callable[[Array], Scatter], at_once: Array, over: 
     return replace(found, of_ticks=True)
 
 
-def _predicted(sight: _Sight, log: Log, late: float, displacement: Array, fitted: int) -> float | None:
+def _predicted(sight: PredictedImages, log: Log, late: float, displacement: Array, fitted: int) -> float | None:
     """Return the share of the image motion that is predicted after the frames that are fitted; None of one at rest."""
     apart = slice(int(np.searchsorted(log.time, sight.times[fitted] - late)), None)
     if not any(leg_moves(log.commands[:, leg], log.joints[:, leg], apart) for leg in range(6)):

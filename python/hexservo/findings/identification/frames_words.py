@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict
 
 from hexservo.findings.evidence import Column, Section, Table, Verdict
 from hexservo.findings.identification.drives import GOOD
 from hexservo.findings.identification.drives_words import at_most, with_interval
-from hexservo.findings.identification.frames import MOST_LATENCY, CameraFit
+from hexservo.findings.identification.frames import SEEN, CameraFit
+from hexservo.findings.identification.frames_outliers import Outliers
 from hexservo.findings.identification.interval import Interval
+from hexservo.findings.identification.predicted_images import MOST_LATENCY
 from hexservo.scenario.wording import number
 
 _TITLE = "Camera"
@@ -28,6 +31,8 @@ def section(found: CameraFit) -> Section:
         ("exposure times are late by", with_interval(found.stamps and found.stamps.times(1e3)), "ms"),
         ("frames that did not arrive", with_interval(found.dropout and found.dropout.times(100)), "%"),
         ("noise of a coordinate", with_interval(found.noise) if found.noise_is_of_camera else _UNKNOWN, "px"),
+        *([("pixels are rounded to", number(found.rounding), "px")] if found.of_rounding > SEEN else []),
+        *_rows_of_outliers(found.outliers),
         ("predicted of the part kept apart", None if found.explained is None else number(100 * found.explained), "%"),
         *_rows_of_the_target(found),
     ]
@@ -40,7 +45,14 @@ def section(found: CameraFit) -> Section:
     known = found.latency_is_known and found.period is not None and (found.explained or 0.0) >= GOOD
     good = known and not doubts(found)
     verdict: Verdict = "bad" if not found.explains else "good" if good else "warning"
-    return Section("camera", _TITLE, [*_sentences(found), *_of_repeated(found)], (table,), verdict, data)
+    return Section(
+        "camera",
+        _TITLE,
+        [*_of_outliers(found), *_sentences(found), *_of_rounding(found), *_of_repeated(found)],
+        (table,),
+        verdict,
+        data,
+    )
 
 
 def _sentences(found: CameraFit) -> list[str]:
@@ -93,13 +105,30 @@ def doubts(found: CameraFit) -> list[str]:
             f"The exposure times do not agree with the joints: frames were taken {number(1e3 * abs(stamps.value))} ms "
             f"{'before' if stamps.value > 0 else 'after'} what they state."
         )
+    if found.outliers is not None and not found.outliers.are_known:
+        reason = (
+            "they stay for several frames, and those of the model come by themselves"
+            if found.outliers.last
+            else "one does not determine how often they come"
+        )
+        words.append(
+            f"The scenario has no such wrong detections: {reason}. The keys `camera.outlier_probability` and "
+            "`camera.outlier_size` are left as they are."
+        )
     if found.target_is_apparent:
         words.append(
             f"The place where the target is seen moves the image by {number(found.target_pixels)} px (RMS), and no key "
             "has it. Check the place and the size of the target (target.points), the focal length (camera.focal_length "
             "or camera.focal_pixels) and the camera's mount (camera.mount): a displaced target stands for any of these."
         )
-    if not found.noise_is_white and found.noise_is_of_camera:  # the rounding of joints at rest is correlated, too
+    if not found.noise_is_white and found.noise_is_of_camera and found.rounding_is_most:
+        words.append(
+            f"What the fit leaves of the image is correlated over {number(found.correlated)} frames, and rounding of "
+            f"the pixels to {number(found.rounding)} px explains {number(100 * found.of_rounding)} % of it: an image "
+            "that moves by less is off by the same in one frame after the other. The log does not tell a finer noise. "
+            f"{_left(found)}"
+        )
+    elif not found.noise_is_white and found.noise_is_of_camera:  # the rounding of joints at rest is correlated, too
         words.append(
             f"What the fit leaves of the image is correlated over {number(found.correlated)} frames: it is more than "
             "noise, such as a wrong size of the target, focal length, lens or mount, and the noise and its interval "
@@ -129,7 +158,7 @@ def _left(found: CameraFit) -> str:
 
 def _not_late(found: CameraFit) -> str:
     """Return what else moves the image where no jitter is known."""
-    reasons = [] if found.noise_is_white else ["a wrong calibration"]
+    reasons = [] if found.noise_is_white else ["rounding" if found.rounding_is_most else "a wrong calibration"]
     if not found.noise_is_of_camera:
         reasons.append(_by_joints(found))
     elif found.jitter_of_ticks:
@@ -154,6 +183,39 @@ def _of_repeated(found: CameraFit) -> list[str]:
     return [
         f"{found.repeated} of {found.frames} frames repeat the one before, equal in every coordinate: they do "
         "not count, and the period is that of the others."
+    ]
+
+
+def _of_outliers(found: CameraFit) -> list[str]:
+    outliers = found.outliers
+    if outliers is None or not found.explains:
+        return []
+    return [
+        f"{outliers.frames} of {outliers.searched} frames have a point that is more than {number(outliers.farther)} px "
+        "from where joints and target place it, unlike the others: a wrong detection. These frames do not count in the "
+        "fit and its noise. A controller leaves such points out by `camera.gate` [px], if that is above what noise "
+        "and motion of the target do."
+    ]
+
+
+def _of_rounding(found: CameraFit) -> list[str]:
+    if found.noise is None or found.of_rounding <= SEEN or not found.explains:
+        return []
+    words = f"The pixels of the log are rounded to {number(found.rounding)} px: the key is `camera.quantisation`"
+    if not found.noise_is_white:
+        return [f"{words}."]
+    scatter = math.hypot(found.noise.value, found.rounding / math.sqrt(12.0))
+    return [
+        f"{words}, and {number(found.noise.value)} px of noise beside it scatter a coordinate by {number(scatter)} px."
+    ]
+
+
+def _rows_of_outliers(outliers: Outliers | None) -> list[tuple[str, str | None, str]]:
+    if outliers is None:
+        return []
+    return [
+        ("points that are wrong detections", with_interval(outliers.probability.times(100)), "%"),
+        ("these are off by, standard deviation", with_interval(outliers.size), "px"),
     ]
 
 

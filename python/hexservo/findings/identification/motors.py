@@ -22,6 +22,7 @@ from hexservo.findings.identification.log import FITTED, LEAST_EXPLAINED, Log, p
 from hexservo.findings.part import Part
 from hexservo.run.progress import ProgressCallback
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.keys import value_at
 from hexservo.scenario.leg_units import LegUnits, leg_units
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario
@@ -34,6 +35,7 @@ _MOVED = 0.1  # standard deviations by which halved steps move a value at most w
 _STIFFNESSES = np.geomspace(1e-3, 1e1, 13)  # tried first, times the limit over how far the legs were sent
 _DELAYS = (-1, 0, 1, 2)  # beside that of the drives, which takes a part of it for lag [ticks]
 _SMALLEST = 1e-4  # friction and armature that are looked for at least, as shares of what acts
+_ALIKE = 1.02  # times the error of the fit that motors may have which move the legs alike
 _CURVE = 2000  # samples of a figure at most
 
 
@@ -59,6 +61,7 @@ class MotorFit(Part):
     predicted: Array = field(repr=False)  # (k, 6)
 
     substeps: int  # of the loop in a tick, with which its legs follow such motors
+    kept: tuple[str, ...] = ()  # what the log does not determine, and moves the legs alike as the machine has it
 
     @property
     def explains(self) -> bool:
@@ -66,9 +69,14 @@ class MotorFit(Part):
         return self.explained is None or self.explained >= LEAST_EXPLAINED
 
     @property
+    def open(self) -> tuple[str, ...]:
+        """What the log does not determine."""
+        return tuple(key for key in _KEYS if not getattr(self, key).is_bounded)
+
+    @property
     def changes(self) -> dict[str, Any]:
         """The keys of a scenario with these motors, by dotted name."""
-        found = {key: getattr(self, key).value for key in _KEYS}
+        found = {key: getattr(self, key).value for key in _KEYS if key not in self.kept}
         return {
             "simulation.substeps": self.substeps,
             "actuators.kind": "position_torque",
@@ -223,15 +231,15 @@ def _result(
     log: Log, machine: Scenario, drives: Drives, plant: _Plant, best: _Fit, fitted: int, scale: float
 ) -> MotorFit:
     values = _values(best.logs)
-    intervals = {}
-    for key, one in zip(_KEYS, best.deviations(), strict=True):
-        with np.errstate(over="ignore"):
-            factor = float(np.exp(half_width(float(one))))
-        intervals[key] = Interval(values[key], values[key] / factor, values[key] * factor)
-    if intervals["friction"].value < _SMALLEST * values["kp"] * _farthest(log):  # no different from none
-        intervals["friction"] = Interval(0.0, 0.0, intervals["friction"].high)
+    intervals = _intervals(values, best.deviations(), _SMALLEST * values["kp"] * _farthest(log))
     predicted, measured = plant.response(best.delay, values)[fitted:], log.joints[fitted:]
     every = max(1, -(-len(measured) // _CURVE))
+    error = _rms(predicted - measured)
+    kept = tuple(key for key, one in intervals.items() if not one.is_bounded)
+    given = values | {key: float(value_at(machine, f"actuators.motor.{key}")) for key in kept}
+    if kept and not _rms(plant.response(best.delay, given)[fitted:] - measured) <= _ALIKE * error:  # or not a number
+        kept, given = (), values
+        plant.response(best.delay, given, 1)
     apart = slice(fitted, None)
     shares = [predicted_share(log.commands[:, leg], log.joints[:, leg], predicted[:, leg], apart) for leg in range(6)]
     return MotorFit(
@@ -240,7 +248,7 @@ def _result(
         limit=machine.robot.force_limit,
         noise=scale * float(np.sqrt(2.0 * best.cost / (len(best.left) - len(_KEYS)))),
         correlated=best.correlated,
-        error=_rms(predicted - measured),
+        error=error,
         error_of_drives=_rms(drives.predicted - drives.measured),
         explained=min((share for share in shares if share is not None), default=None),
         still=tuple(leg + 1 for leg, share in enumerate(shares) if share is None),
@@ -249,7 +257,31 @@ def _result(
         measured=measured[::every],
         predicted=predicted[::every],
         substeps=plant.substeps(),
+        kept=kept,
     )
+
+
+def _intervals(values: Mapping[str, float], deviations: Array, smallest: float) -> dict[str, Interval]:
+    """Return the values of `_KEYS` with intervals, open where the log does not determine them.
+
+    Friction that is no different from none may be zero, which no logarithm contains: its upper end is that of the
+    friction itself, and it is determined if this is at most as many times `smallest` as ends may be apart.
+
+    Parameters
+    ----------
+    values
+        By key.
+    deviations
+        (4,) standard, of their logarithms.
+    smallest
+        Friction that is looked for, at least [N; N m].
+    """
+    found = {key: Interval.of_logarithm(values[key], float(one)) for key, one in zip(_KEYS, deviations, strict=True)}
+    if values["friction"] < smallest:
+        high = values["friction"] * (1.0 + half_width(float(deviations[_KEYS.index("friction")])))
+        known = Interval(smallest, smallest, max(high, smallest)).determined().is_bounded
+        found["friction"] = Interval(0.0, 0.0, high) if known else Interval(0.0, -np.inf, np.inf)
+    return found
 
 
 def _farthest(log: Log) -> float:

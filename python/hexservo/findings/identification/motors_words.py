@@ -7,7 +7,7 @@ from dataclasses import asdict
 import numpy as np
 
 from hexservo.findings.evidence import Column, Section, Table, Verdict
-from hexservo.findings.identification.drives import MOST_DELAY
+from hexservo.findings.identification.drives import GOOD, MOST_DELAY
 from hexservo.findings.identification.drives_words import (
     at_most,
     curves_of,
@@ -18,6 +18,8 @@ from hexservo.findings.identification.drives_words import (
 from hexservo.findings.identification.motors import MotorFit
 from hexservo.scenario.wording import number
 
+_WHITE = 2.0  # ticks over which what the motors leave is correlated, at most, for it to be noise
+_NAMES = {"kp": "the stiffness", "damping": "the damping", "armature": "the armature", "friction": "dry friction"}
 _KEPT = ("kp", "damping", "armature", "friction", "delay", "limit", "noise", "error", "error_of_drives", "explained")
 
 
@@ -50,11 +52,17 @@ def section(found: MotorFit) -> Section:
             f"That is {at_most(found.explained)} of the motion of a leg: the machine does not move as this model, and "
             "none of its keys is taken over."
         )
+    elif found.explained is not None and found.explained < GOOD and found.correlated > _WHITE:
+        words.append(
+            f"That is {at_most(found.explained)} of the motion of a leg, and what is left is no noise: the scenario "
+            "moves as the machine only in part."
+        )
     if found.delay == MOST_DELAY:
         words.append(
             f"The delay is at least {MOST_DELAY} ticks, the most that is tried and that a scenario has: the key "
             "`actuators.delay` is left as it is."
         )
+    words += _of_open(found)
     words += of_correlation("", found.correlated, "these motors lack")
     leg = 1 + int(np.argmax(((found.predicted - found.measured) ** 2).mean(axis=0)))
     return Section(
@@ -67,7 +75,28 @@ def section(found: MotorFit) -> Section:
     )
 
 
+def _of_open(found: MotorFit) -> list[str]:
+    """Return what the log does not determine, and what becomes of its keys."""
+    if not found.open or not found.explains:
+        return []
+    names = " and ".join(_NAMES[key] for key in found.open)
+    keys = " and ".join(f"`actuators.motor.{key}`" for key in found.open)
+    many = len(found.open) > 1
+    words = f"The log does not determine {names}: "
+    if found.kept:
+        return [
+            f"{words}the {'keys' if many else 'key'} {keys} {'are left as they are' if many else 'is left as it is'}."
+        ]
+    return [
+        f"{words}{keys} {'have values' if many else 'has a value'} of which many move the legs alike; those of the "
+        "machine that was given do not."
+    ]
+
+
 def _verdict(found: MotorFit) -> Verdict:
     if not found.explains:
         return "bad"
-    return "good" if found.error <= found.error_of_drives and found.delay < MOST_DELAY else "warning"
+    known = not found.open and found.delay < MOST_DELAY
+    by_noise = found.correlated <= _WHITE  # what is left of legs that move little
+    predicts = found.error <= found.error_of_drives and (by_noise or (found.explained or 0.0) >= GOOD)
+    return "good" if known and predicts else "warning"

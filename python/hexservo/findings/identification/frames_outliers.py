@@ -1,0 +1,124 @@
+"""Wrong detections of single points: which frames have one, how often they come, and how far they are off.
+
+Frames that jitter, wrong poses of the joints and a wrong calibration move the points of a frame together. A wrong
+detection moves one alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import binom, binomtest, chi2
+
+from hexservo.findings.identification.interval import LEVEL, Interval
+from hexservo.scenario.arrays import Array, Mask
+
+_MEDIAN = 2.0 * np.log(2.0)  # of d^2 in the plane, in variances of a coordinate
+_CHANCE = 1e-3  # that Gaussian noise alone gives an outlier, of all points of a log
+_BY_CHANCE = 0.01  # that single outliers follow one another as often
+_MOST = 0.5  # share of the frames: with more, these are no exceptions
+_FEWEST = 3  # points of a frame, for one to be unlike the others
+
+
+@dataclass(frozen=True)
+class Outliers:
+    """Points of a log that are wrong detections, as the model has them: each by itself, with a normal error."""
+
+    frames: int  # that have one
+    searched: int  # frames
+    farther: float  # than this they are off, at least [px]
+    probability: Interval  # of a point; not determined by one outlier alone
+    size: Interval  # standard deviation of what is added to a coordinate [px]
+    last: bool  # whether a point is one in frames one after the other more often than by chance
+
+    @property
+    def are_known(self) -> bool:
+        """Whether they are those of the model, and the log determines how often they come."""
+        return self.probability.is_bounded and not self.last
+
+
+def outliers_of(left: Array, speed: Array) -> tuple[Mask, Outliers] | None:
+    """Return which frames (m,) have a wrong detection, by the residuals of images; None without any, or if most have.
+
+    A point is an outlier if its distance d has d^2 > c = 2 S ln(points/0.001), as Gaussian noise has once in a thousand
+    logs, after what its frame is late by, and the median of all images, are taken out. S is the variance of a
+    coordinate: by the median of all d^2, or by the nearer half of the points of the frame, whichever is larger. Beyond
+    c, d^2 of normal errors is c plus an exponential distribution of the same mean, which gives their size, and how many
+    are nearer.
+
+    Parameters
+    ----------
+    left
+        (m, 2p) residuals of the image [px].
+    speed
+        (m, 2p) of the image, the mean over its jitter [px/s].
+    """
+    count, points = len(left), left.shape[1] // 2
+    if points < _FEWEST:
+        return None
+    shared = np.median(left, axis=0)  # outliers displace the target that is fitted, and so all images alike
+    residuals = (left - shared).reshape(count, points, 2)
+    speeds = speed.reshape(count, points, 2)
+    first = _distances(residuals - _lateness(residuals, speeds)[:, None, None] * speeds)
+    squared, straight = _distances_by_others(residuals, speeds, _far(first)[0])
+    found, beyond = _far(squared)
+    number, frames = int(found.sum()), np.asarray(found.any(axis=1))
+    if not number or frames.mean() > _MOST:
+        return None
+    edge = float(beyond[found].mean())
+    variance = float(np.median(squared)) / _MEDIAN
+    both = float((straight[found] - beyond[found]).mean()) / 2.0  # variance of the error and the noise together
+    ends = [2 * number * both / end for end in chi2.ppf([0.5 + LEVEL / 2, 0.5 - LEVEL / 2], 2 * number)]
+    size = Interval(*(float(np.sqrt(max(one - variance, 0.0))) for one in (both, *ends)))
+    nearby = min(float(np.exp(edge / (2.0 * both))), squared.size / number)
+    share = binomtest(number, squared.size).proportion_ci(LEVEL, method="exact")
+    ways = (number / squared.size, float(share.low), float(share.high))
+    probability = Interval(*(min(nearby * one, 1.0) for one in ways)).determined()
+    again = int((found[1:] & found[:-1]).sum())
+    lasts = bool(again > 1 and binom.sf(again - 1, number, number / squared.size) < _BY_CHANCE)
+    return frames, Outliers(int(frames.sum()), count, float(np.sqrt(edge)), probability, size, lasts)
+
+
+def _far(squared: Array) -> tuple[Mask, Array]:
+    """Return which points are outliers by their d^2, and the c that it is compared with, both (m, p)."""
+    points = squared.shape[1]
+    nearer = points - points // 2
+    shares = np.cumsum(1.0 / np.arange(points, 0, -1.0))[:nearer].mean()  # means of ordered exponentials
+    of_frame = np.sort(squared, axis=1)[:, :nearer].mean(axis=1) / (2.0 * shares)
+    variance = np.maximum(of_frame, np.median(squared) / _MEDIAN)
+    beyond = np.repeat(2.0 * np.log(squared.size / _CHANCE) * variance[:, None], points, axis=1)
+    return squared > beyond, beyond
+
+
+def _distances(residuals: Array) -> Array:
+    """Return d^2 of residuals (m, p, 2)."""
+    return np.asarray((residuals**2).sum(axis=2))
+
+
+def _distances_by_others(residuals: Array, speeds: Array, suspects: Mask) -> tuple[Array, Array]:
+    """Return d^2 (m, p) where frames are late by the least squares of the points that are no suspects (m, p).
+
+    Of a suspect that time has an error of the variance S/sum |v|^2, which counts along its speed v. The second d^2 are
+    without it.
+    """
+    size = _distances(speeds)
+    power = np.where(suspects, 0.0, size).sum(axis=1)
+    late = np.where(suspects, 0.0, (speeds * residuals).sum(axis=2)).sum(axis=1) / np.where(power > 0.0, power, 1.0)
+    left = residuals - late[:, None, None] * speeds
+    both = power[:, None] + size
+    along = (left * speeds).sum(axis=2) ** 2 / np.where(both > 0.0, both, 1.0)
+    straight = _distances(left)
+    return straight - np.where(suspects, along, 0.0), straight
+
+
+def _lateness(residuals: Array, speeds: Array) -> Array:
+    """Return the times (m,) [s] by which the nearer half of `residuals - time*speeds`, (m, p, 2), is least.
+
+    Least trimmed squares, of the times at which one of the coordinates is met: the others may be wrong detections.
+    """
+    count, points, _ = residuals.shape
+    tried = np.divide(residuals, speeds, out=np.zeros_like(residuals), where=speeds != 0.0).reshape(count, -1)
+    left = residuals[:, None] - tried[:, :, None, None] * speeds[:, None]
+    squared = np.sort((left**2).sum(axis=3), axis=2)[:, :, : points - points // 2].sum(axis=2)
+    return np.asarray(tried[np.arange(count), np.argmin(squared, axis=1)])
