@@ -39,7 +39,7 @@ def more(tmp_path_factory: pytest.TempPathFactory) -> tuple[Section, ...]:
         patch.setattr("hexservo.campaigns.strategies._POPULATION", 8)
         file = SHORT | {"scenario": short, "tune": tune}
         found = hs.tune(file, tmp_path_factory.mktemp("tune") / "out", generations=2, rounds=1)
-    return (*found.sections(), hs.sensitivity(SHORT, samples=4).section())
+    return (*found.sections(), hs.sensitivity(SHORT, samples=32).section())
 
 
 def curves_of(result: hs.CampaignResult) -> dict[str, Curves]:
