@@ -5,16 +5,19 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import pyarrow as pa
 import pytest
+from scipy.stats import rankdata
 
 import hexservo as hs
 from hexservo.campaigns.drawing import with_unit
 from hexservo.campaigns.intervals import anytime_interval
-from hexservo.campaigns.pictures import campaign_sections, influential
+from hexservo.campaigns.pictures import campaign_sections, influential, size_of_chance
 from hexservo.draw.evidence import item_figure
 from hexservo.findings.evidence import Bars, Curves, Line, Section, Share
 from hexservo.report.charts import bars, curves
@@ -23,6 +26,14 @@ from test_campaign_engine import FILE, RUNS
 from test_campaign_search import SHORT
 from test_report import CHROMIUM, in_browser
 from test_terminal import invoke
+
+arrow = hs.CampaignResult.to_arrow
+
+
+def one_column(result: hs.CampaignResult, columns: Sequence[str] | None = None) -> pa.Table:
+    """Return the margins, the only column of all runs that a page may have in memory."""
+    assert columns == ["margin"]
+    return arrow(result, columns)
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +50,7 @@ def more(tmp_path_factory: pytest.TempPathFactory) -> tuple[Section, ...]:
         patch.setattr("hexservo.campaigns.strategies._POPULATION", 8)
         file = SHORT | {"scenario": short, "tune": tune}
         found = hs.tune(file, tmp_path_factory.mktemp("tune") / "out", generations=2, rounds=1)
-    return (*found.sections(), hs.sensitivity(SHORT, samples=4).section())
+    return (*found.sections(), hs.sensitivity(SHORT, samples=32).section())
 
 
 def curves_of(result: hs.CampaignResult) -> dict[str, Curves]:
@@ -114,6 +125,69 @@ def test_one_number_for_several_entries_is_named_once(tmp_path: Path) -> None:
     seeds = {"scenario": "slow-camera", "vary": {"seed": "each"}, "require": ["final_error <= 9"], "runs": 3}
     found = campaign_sections(hs.campaign(seeds, tmp_path / "seeds"))[-1]
     assert found.sentences == ["Nothing but seeds varies."]
+
+
+def test_the_size_that_chance_reaches_is_kept_in_95_of_100_campaigns() -> None:
+    """Numbers that have no influence, with their distances from the median."""
+    random = np.random.default_rng(20261128)
+    for runs, inputs in ((30, 62), (300, 62), (30, 1)):
+        margins = random.random((400, runs))
+        largest = []
+        for margin in margins:
+            values = random.random((inputs, runs))
+            parts = np.concatenate([values, np.abs(values - np.median(values, axis=1, keepdims=True))])
+            ranks = rankdata(parts, axis=1) - (runs + 1) / 2
+            own = rankdata(margin) - (runs + 1) / 2
+            largest.append(float(np.abs(ranks @ own / (own @ own)).max()))
+        share = float(np.mean(np.array(largest) <= size_of_chance(runs, inputs)))
+        print(f"{inputs} numbers, {runs} runs: at most {size_of_chance(runs, inputs):.3f} in {share:.1%}")
+        assert 0.92 <= share < 1.0  # Bonferroni's inequality is close to an equality; 400 campaigns give +-1.1 %
+
+
+def test_numbers_without_influence_are_not_named(tmp_path: Path) -> None:
+    """Of thirty runs in which noise decides, and of runs that all have the same margin."""
+    base = hs.load_scenario("composite-30hz").updated({"simulation.duration": 0.3, "metrics.rms_start": 0.2})
+    vary = {"uncertainty.coriolis": {"uniform": [-0.1, 0.1], "each": True}, "seed": "each"}
+    file = {"scenario": base, "vary": vary, "require": ["rms_error <= 5.0"], "runs": 30}
+    section = campaign_sections(hs.campaign(file, tmp_path / "noise"))[-1]
+    assert section.title == "What the margin depends on"
+    print(section.sentences)
+    assert re.match(
+        r"No number shows an influence: the largest rank .*; in 30 runs the largest of 36 ", section.sentences[0]
+    )
+    assert section.sentences[-1].startswith("Seeds are left out")
+    equal = hs.campaign(file | {"require": ["outcome == completed"]}, tmp_path / "equal")
+    assert campaign_sections(equal)[-1].sentences == ["All runs have the same margin, 1: no number shows an influence."]
+    ties = {"scenario": base.updated({"robot.on_limit": "stop"}), "require": ["outcome == completed"], "runs": 60}
+    some = hs.campaign(ties | {"vary": {"robot.stroke": {"uniform": [0.001, 0.1]}}}, tmp_path / "ties")
+    ended = int((some.margin() < 0).sum())
+    found = campaign_sections(some)[-1]
+    print(found.sentences)
+    assert 0 < ended < 30
+    assert (found.title, found.sentences[-1]) == (
+        "Where the failures lie",
+        f"{60 - ended} of 60 runs have the same margin, 1: no rank orders them.",
+    )
+    assert found.sentences[0].startswith("Largest rank correlation of the margin, ")
+
+
+def test_a_page_of_many_runs_has_a_sample_of_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Failures in the plane are those of all runs."""
+    result = hs.campaign(FILE | {"chunk_size": 50}, tmp_path / "out")
+    whole = curves_of(result)
+    monkeypatch.setattr("hexservo.campaigns.pictures._SAMPLE", 100)
+    monkeypatch.setattr(hs.CampaignResult, "to_arrow", one_column)
+    sampled = curves_of(result)
+    stated = f"Of a random sample of 100 of the {RUNS} runs."
+    assert sampled["Final error"].note.endswith(stated)
+    assert stated in campaign_sections(result)[-1].sentences
+    assert whole["Final error"].note == sampled["Final error"].note.removesuffix(stated).strip() == ""
+    medians = [float(np.median(each["Final error"].lines[0].x)) for each in (whole, sampled)]
+    assert medians[0] != medians[1] == pytest.approx(medians[0], rel=0.5)
+    for before, after in zip(*(each["Failure probability"].lines for each in (whole, sampled)), strict=True):
+        np.testing.assert_array_equal(before.y, after.y)
+    points = [len(line.x) for line in sampled["Runs in the plane of both"].lines]
+    assert points == [min(RUNS - result.failures, 600), result.failures]
 
 
 def test_a_run_that_ends_early_is_not_within_the_bound(tmp_path: Path) -> None:

@@ -18,12 +18,13 @@ from hexservo.campaigns.candidates import Candidates, Judged, ranking, violation
 from hexservo.campaigns.judging import Judge
 from hexservo.campaigns.loop_numbers import decay_rate
 from hexservo.campaigns.plan import CampaignPlan, load_plan
-from hexservo.campaigns.requirements import margin_of
-from hexservo.campaigns.tune_result import Edge, Generation
+from hexservo.campaigns.requirements import margin_of, requirement_of
+from hexservo.campaigns.tune_result import Edge, Generation, _held_out_values
 from hexservo.campaigns.tuning import _Search, edges_of
 from hexservo.findings.evidence import Curves
 from hexservo.run.publish import OutputError
 from hexservo.scenario.laws import LAWS
+from hexservo.scenario.wording import number
 from hexservo.scenario.yaml import load_yaml
 from test_readme import ROOT, examples, output_of
 from test_terminal import invoke
@@ -182,9 +183,47 @@ def test_a_relaxed_bound_is_one_that_its_gains_keep_in_other_runs(tmp_path: Path
     others = file | {"scenario": file["scenario"].updated(dict(relaxed.gains)), "stream": 1}
     numbers = load_plan(file | {"stream": 1}).drawing().numbers(0, 100)
     runs = Judge(load_plan(others), None).judged(numbers)[1].metrics
-    assert relaxed.bound == pytest.approx(runs["rms_error"].max(), rel=1e-9)
+    largest = float(runs["rms_error"].max())
+    assert largest <= relaxed.bound == float(relaxed.text.rpartition(" ")[2])  # as it is written
+    assert relaxed.bound == pytest.approx(largest, rel=1e-3)
+    assert relaxed.share == pytest.approx(relaxed.bound / 0.05 - 1.0)
     assert (relaxed.failures, relaxed.runs) == (int((runs["peak_leg_force"] > 0.6).sum()), 100)
     assert any(getattr(item, "title", "") == f"Gains with {relaxed.text}" for item in result.section().items)
+
+
+@pytest.mark.parametrize(
+    ("comparison", "value", "written"),
+    [
+        ("<=", 0.1514245, 0.1515),
+        ("<=", 0.25, 0.25),
+        ("<", 0.25, 0.2501),
+        (">=", 7.65478, 7.654),
+        (">", 7.0, 6.999),
+    ],
+)
+def test_a_relaxed_bound_is_rounded_outwards(comparison: str, value: float, written: float) -> None:
+    """The run that decides it keeps the bound that is written."""
+    one = requirement_of(f"peak_error {comparison} {'0.125' if '<' in comparison else '16.0'}")
+    bound = one.rounded_bound_at(float(one.distance(np.array([value]))[0]))
+    assert bound == written
+    assert dataclasses.replace(one, bound=bound).distance(np.array([value]))[0] >= 0
+
+
+def test_the_largest_metric_of_held_out_runs_is_that_of_whole_ones(tmp_path: Path) -> None:
+    """Runs from far away leave the stroke, with the largest image error that any has."""
+    scenario = hs.load_scenario("composite-30hz").updated(
+        {"robot.on_limit": "stop", "robot.stroke": 0.0044, "simulation.duration": 0.3, "metrics.rms_start": 0.1}
+    )
+    vary = {"target.translation": {"uniform": [-0.008, 0.008], "each": True}}
+    file = {"scenario": scenario, "vary": vary, "require": ["outcome == completed"], "runs": 60}
+    held_out = hs.campaign(file, tmp_path / "out")
+    table = held_out.to_dataframe()
+    whole = table[table.outcome == "completed"].peak_error
+    assert 0 < len(whole) < 60
+    assert whole.max() < 0.99 * table.peak_error.max()
+    assert _held_out_values(held_out, ["peak error"], ["px"], ("peak_error",)) == (
+        f"the largest peak error is {number(whole.max())} px among the {len(whole)} of 60 runs that complete"
+    )
 
 
 def test_a_metric_without_a_value_is_named_where_the_requirements_hold(tmp_path: Path) -> None:

@@ -71,7 +71,7 @@ def returned(paper: hs.Scenario, tmp_path_factory: pytest.TempPathFactory) -> di
         "WorstRuns": drawn.worst(1),
         "WorstCase": hs.worst_case(drawn, runs=20, restarts=1),
         "RareFailures": hs.estimate_rare_failures(file, samples=100),
-        "Sensitivity": hs.sensitivity(file, samples=4),
+        "Sensitivity": hs.sensitivity(file, samples=32),
         "TuneResult": hs.tune(file | {"tune": gains}, folder / "tuned", generations=1, rounds=1),
         "metrics": hs.metrics(run),
         "METRICS": hs.METRICS,

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from hexservo.run.metrics import METRICS
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.rules import did_you_mean, is_number, refusal, shown_value
+from hexservo.scenario.wording import above, below
 from hexservo.scenario.yaml import decimal
 
 COMPLETED = "completed"
@@ -70,6 +71,13 @@ class Requirement:
     def bound_at(self, distance: float) -> float:
         """Return the bound, in the metric's unit, that a run at this distance from the present one meets exactly."""
         return self.bound - (distance if self._is_upper else -distance) * self._unit
+
+    def rounded_bound_at(self, distance: float, digits: int = 4) -> float:
+        """Return `bound_at`, rounded to so many digits and outwards: what is written is kept by that run too."""
+        bound = self.bound_at(distance)
+        if self.comparison in ("<", ">"):  # which a value at the bound does not keep
+            bound = math.nextafter(bound, math.inf if self._is_upper else -math.inf)
+        return float((above if self._is_upper else below)(bound, digits))
 
     @property
     def undecided(self) -> str:

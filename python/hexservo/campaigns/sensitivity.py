@@ -28,6 +28,9 @@ from hexservo.scenario.wording import whole_number
 
 _SHOWN = 10  # inputs of a table
 _RESAMPLES = 200  # of the bootstrap
+_MOST, _FEW = 0.9, 30  # runs that carry this share of the variance: as many are needed, or else
+_ORDINARY = 0.2  # this share of the runs (of normal numbers 45 % carry so much, of uniform ones 66 %)
+_BEYOND = 0.05  # by which an interval may miss 0 to 100 %: of many inputs without effect some do, by little
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +69,7 @@ class Sensitivity(Findings):
         Raises
         ------
         ValueError
-            There are no indices of this quantity: it does not vary, or some run has no value of it, or ended early.
+            There are no indices of this quantity; `without` has the reason.
         """
         if quantity not in self.indices:
             raise ValueError(f"quantity: expected one of {', '.join(self.indices) or 'none'}, got {quantity!r}")
@@ -84,16 +87,16 @@ class Sensitivity(Findings):
                 continue
             (one, share), *others = self.ranking(quantity)
             second = f", then {others[0][0]} ({others[0][1]:.0%})" if others else ""
-            ends = self.indices[quantity].total_interval[self.inputs.index(one)]
-            interval = "no bootstrap interval with so few samples"
-            if np.isfinite(ends).all():
-                interval = f"bootstrap interval at 95 %: {ends[0]:.0%} to {ends[1]:.0%}"
+            low, high = self.indices[quantity].total_interval[self.inputs.index(one)]
+            interval = f"bootstrap interval at 95 %: {low:.0%} to {high:.0%}"
             sentences.append(f"{quantity}: {one} has the largest total index ({share:.0%}, {interval}){second}.")
         if self.early:
             ended = f"{self.early} of {self.runs} runs ended early"
             sentences.append(f"{ended}: the margin alone compares them with the others, and no metric has indices.")
         if any((self.indices[name].total > 1.0).any() for name in asked if name in self.indices):
-            sentences.append("Estimates of indices may exceed 100 %, which no index does; more samples narrow them.")
+            sentences.append(
+                "Estimates of indices may exceed 100 %, which no index does; more samples narrow their intervals."
+            )
         if (common := self.plan.common_noise) is not None:
             sentences.append(of_common_noise("the indices hold", common))
         items: list[Item] = []
@@ -180,21 +183,71 @@ def sensitivity(
         return tried[-1]
 
     found = sobol_indices(outputs, len(inputs), samples, seed)
-    indices = {name: each for name, each in zip(quantities, found, strict=True) if each is not None}
+    indices = {name: each for name, each in zip(quantities, found, strict=True) if isinstance(each, Indices)}
     values = dict(zip(quantities, np.concatenate(tried, axis=1), strict=True))
-    without = {name: _why_none(values[name], early) for name in quantities if name not in indices}
+    without = {
+        name: _without_value(values[name], early) or each
+        for name, each in zip(quantities, found, strict=True)
+        if isinstance(each, str)
+    }
     return Sensitivity(plan, inputs, indices, without, judge.runs, early, seed)
 
 
-def _why_none(values: Array, early: int) -> str:
-    """Return why there are no indices of a quantity with these values, (n,), of which `early` runs ended early."""
+# ---- Why there are none ---------------------------------------------------------------------------------------------
+
+
+def _without_value(values: Array, early: int) -> str:
+    """Return how many of these values, (n,), are none, of which `early` runs ended early; "" where all are."""
     missing = int((~np.isfinite(values)).sum())
-    reasons = [f"{early} of {len(values)} runs ended early"] if missing and early else []
+    if not missing:
+        return ""
+    reasons = [f"{early} of {len(values)} runs ended early"] if early else []
     if missing > early:
         reasons.append(f"it has no value in {missing - early} {'others' if early else f'of {len(values)} runs'}")
-    if missing:
-        return " and ".join(reasons)
-    return "it is the same in all runs" if np.ptp(values) == 0 else "it varies in too few of the samples"
+    return " and ".join(reasons)
+
+
+def _without_variance(values: Array, drawn: Array) -> str:
+    """Return why the variance of an output is not determined, as a clause; "" where it is.
+
+    Parameters
+    ----------
+    values
+        All values of the output, of which the first, `drawn`, have the variance.
+    """
+    if missing := _without_value(values, 0):
+        return missing
+    if np.ptp(drawn) == 0:
+        return "it is the same in all runs" if np.ptp(values) == 0 else "it varies in too few of the samples"
+    distances = np.abs(drawn - drawn.mean())
+    parts = np.sort((distances / distances.max()) ** 2)[::-1]  # squares of the distances themselves may overflow
+    shares = np.cumsum(parts) / parts.sum()
+    carriers = int(np.searchsorted(shares, _MOST)) + 1
+    if carriers >= min(_FEW, _ORDINARY * len(drawn)):
+        return ""
+    return (
+        f"{carriers} of {len(drawn)} runs carry {_MOST:.0%} of its variance, too few to estimate shares of it; more "
+        "samples help where more runs then carry it, else narrower distributions"
+    )
+
+
+def _without_meaning(found: Indices) -> str:
+    """Return why estimates are none of indices, as a clause; "" where they may be."""
+    intervals = (found.first_interval, found.total_interval)
+    if not all(np.isfinite(ends).all() for ends in intervals):
+        return "some bootstrap interval is not finite; take more samples"
+    for ends in intervals:
+        for low, high in ends:
+            if low > 1.0 + _BEYOND or high < -_BEYOND:
+                return (
+                    f"a bootstrap interval is {low:.0%} to {high:.0%}, where an index is from 0% to 100%; take more "
+                    "samples or narrower distributions"
+                )
+    # First-order indices add up to 100 % at most, and total ones to at least as much.
+    first, total = found.first_interval[:, 0].sum(), found.total_interval[:, 1].sum()
+    if first > 1.0 + _BEYOND or total < 1.0 - _BEYOND:
+        return "the indices do not add up to the variance; take more samples or narrower distributions"
+    return ""
 
 
 @contextlib.contextmanager
@@ -208,7 +261,7 @@ def _global_generator(seed: int) -> Iterator[None]:
         np.random.set_state(before)  # noqa: NPY002
 
 
-def sobol_indices(function: Callable[[Array], Array], dimension: int, samples: int, seed: int) -> list[Indices | None]:
+def sobol_indices(function: Callable[[Array], Array], dimension: int, samples: int, seed: int) -> list[Indices | str]:
     """Return the Sobol indices of the outputs of a function of independent uniform inputs.
 
     Estimators: Saltelli et al. 2010 for the first order, Jansen 1999 for the total one (`scipy.stats.sobol_indices`).
@@ -227,7 +280,8 @@ def sobol_indices(function: Callable[[Array], Array], dimension: int, samples: i
     Returns
     -------
     list
-        m indices; None for an output that is not finite everywhere, or does not vary.
+        Indices of each of the m outputs, or as a clause why it has none: it is not finite everywhere, does not vary,
+        few runs carry its variance, or the intervals are none of indices.
 
     Raises
     ------
@@ -256,8 +310,7 @@ def sobol_indices(function: Callable[[Array], Array], dimension: int, samples: i
             spread = found.bootstrap(confidence_level=0.95, n_resamples=_RESAMPLES)
     everything = np.concatenate([values.reshape(len(values), -1) for values in calls], axis=1)
     drawn = np.concatenate([values.reshape(len(values), -1) for values in calls[:2]], axis=1)  # whose variance it is
-    usable = [bool(np.isfinite(row).all() and np.ptp(own) > 0) for row, own in zip(everything, drawn, strict=True)]
-    shape = (len(usable), dimension)  # SciPy drops axes of length one
+    shape = (len(drawn), dimension)  # SciPy drops axes of length one
     first, total = (np.reshape(part, shape) for part in (found.first_order, found.total_order))
     ends = [
         np.stack([np.reshape(end, shape) for end in (part.confidence_interval.low, part.confidence_interval.high)], -1)
@@ -265,6 +318,8 @@ def sobol_indices(function: Callable[[Array], Array], dimension: int, samples: i
     ]
     for each in ends:  # without any effect every resample gives 0, of which the bootstrap makes 0/0
         each[total == 0.0] = 0.0
-    return [
-        Indices(first[row], ends[0][row], total[row], ends[1][row]) if fits else None for row, fits in enumerate(usable)
-    ]
+    outputs = []
+    for row in range(len(drawn)):
+        each = Indices(first[row], ends[0][row], total[row], ends[1][row])
+        outputs.append(_without_variance(everything[row], drawn[row]) or _without_meaning(each) or each)
+    return outputs

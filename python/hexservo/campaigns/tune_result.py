@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hexservo.campaigns.requirements import Requirement, distance_of
+from hexservo.campaigns.requirements import COMPLETED, Requirement, distance_of
 from hexservo.campaigns.result import CampaignResult
 from hexservo.campaigns.words import of_settled_starts
 from hexservo.campaigns.worst_case import without_refused
@@ -44,7 +44,7 @@ class Relaxation:
     """A requirement that was not found to hold with the others, and gains that keep the others and a nearer bound."""
 
     requirement: Requirement
-    bound: float  # in the metric's unit; its gains keep it in the variations of the search and in `runs` others
+    bound: float  # in the metric's unit, rounded outwards; its gains keep it in the search's runs and `runs` others
     share: float  # the change, in parts of the requirement's scale
     gains: Mapping[str, Any]  # by dotted key
     failures: int  # of the others, in which a different requirement fails, or no bound would help
@@ -202,13 +202,9 @@ class TuneResult(Findings):
             else:
                 sentences.append(f"No gains were found with which {wanted}. {self.advice}")
         if self.held_out is not None:
-            table = self.held_out.to_arrow([*self.minimise, "margin"])
-            parts = [
-                f"the largest {name} is {_shown(float(table.column(place).to_numpy().max()), unit)}"
-                for place, (name, unit) in enumerate(zip(names, units, strict=True))
-            ] or [f"the smallest margin is {number(float(table.column('margin').to_numpy().min()))}"]
             sentences.append(
-                f"That is biased, since the search chose by it. In variations that it never used {', '.join(parts)}, "
+                "That is biased, since the search chose by it. In variations that it never used "
+                f"{_held_out_values(self.held_out, names, units, self.minimise)}, "
                 f"and {self.held_out.section().sentences[0]}"
             )
             if self.held_out.summary.get("settled_at_start"):
@@ -343,6 +339,25 @@ class TuneResult(Findings):
         ]
         shown = [line for line in lines if np.isfinite(line.y).any() and np.isfinite(line.x).any()]
         return [Curves("Largest values of both metrics", names[0], names[1], shown, page=_PAGE)]
+
+
+def _held_out_values(result: CampaignResult, names: list[str], units: list[str], keys: tuple[str, ...]) -> str:
+    """Return the largest value of each minimised metric in the runs that completed, or the smallest margin of all.
+
+    What a metric has reached when a run ends early is none of a whole run.
+    """
+    if not keys:
+        return f"the smallest margin is {number(float(result.margin().min()))}"
+    table = result.to_arrow([*keys, "outcome"])
+    completed = np.array(table.column("outcome").to_pylist()) == COMPLETED
+    if not completed.any():
+        return "no run completes"
+    parts = [
+        f"the largest {name} is {_shown(float(table.column(key).to_numpy()[completed].max()), unit)}"
+        for name, unit, key in zip(names, units, keys, strict=True)
+    ]
+    among = "" if completed.all() else f" among the {completed.sum()} of {len(completed)} runs that complete"
+    return ", ".join(parts) + among
 
 
 def _shown(value: float, unit: str) -> str:

@@ -315,9 +315,9 @@ def _relaxations(candidates: Candidates, plan: CampaignPlan) -> tuple[Relaxation
             distance = np.nanmin([nearest, *distances])
             kept[:, column] = np.isfinite(distances)
         failures = int((~kept.all(axis=1)).sum())
-        found.append(
-            Relaxation(one, one.bound_at(float(distance)), float(-distance), candidates.gains(place), failures, runs)
-        )
+        bound = one.rounded_bound_at(float(distance))  # no run that keeps the exact one misses this
+        share = -float(one.distance(np.array([bound]))[0])
+        found.append(Relaxation(one, bound, share, candidates.gains(place), failures, runs))
     return tuple(sorted(found, key=lambda each: each.share))
 
 
