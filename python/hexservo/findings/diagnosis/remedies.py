@@ -144,7 +144,7 @@ def outliers_remedies(case: Case, removal: Removal, record: Record) -> list[Remo
 
 
 def leg_limits_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
-    """Use legs with larger limits, of those that end or fail the run."""
+    """Use legs with larger limits, of those that end or fail the run; commands that keep to their speed come first."""
     robot, peaks = case.scenario.robot, record.metrics
     unit = leg_units(robot).small
     changes: dict[str, Any] = {}
@@ -152,9 +152,6 @@ def leg_limits_remedies(case: Case, removal: Removal, record: Record) -> list[Re
     if peaks["peak_leg_excursion"] > robot.stroke:
         stroke = changes["robot.stroke"] = rounded_up(1.05 * peaks["peak_leg_excursion"])
         words.append(f"a stroke of {stroke * 1e3:.3g} {unit}")
-    if robot.speed_limit is not None and peaks["peak_leg_speed"] > robot.speed_limit:
-        speed = changes["robot.speed_limit"] = rounded_up(1.05 * peaks["peak_leg_speed"])
-        words.append(f"a speed limit of {speed * 1e3:.3g} {unit}/s")
     if robot.joint_limit is not None:
         tilts = [peaks["peak_base_joint"], peaks["peak_platform_joint"]]
         wider = [
@@ -163,7 +160,16 @@ def leg_limits_remedies(case: Case, removal: Removal, record: Record) -> list[Re
         if any(tilt > own for own, tilt in zip(robot.joint_limit, tilts, strict=True)):
             changes["robot.joint_limit"] = wider
             words.append(f"joint limits of {' and '.join(f'{tilt * 1e3:.3g}' for tilt in wider)} mrad")
-    return [Removal(f"legs with {' and '.join(words)}", changes)] if words else []
+    if robot.speed_limit is None or peaks["peak_leg_speed"] <= robot.speed_limit:
+        return [Removal(f"legs with {' and '.join(words)}", changes)] if words else []
+    speed = rounded_up(1.05 * peaks["peak_leg_speed"])
+    faster = [*words, f"a speed limit of {speed * 1e3:.3g} {unit}/s"]
+    remedies = [Removal(f"legs with {' and '.join(faster)}", {**changes, "robot.speed_limit": speed})]
+    if case.sampled and case.scenario.actuators.kind != "force":
+        slow = f"commands of at most {quantity(robot.speed_limit, leg_units(robot).rate)}"
+        of_legs = f"legs with {' and '.join(words)}, and {slow}" if words else slow
+        remedies.insert(0, Removal(of_legs, {**changes, "actuators.position.speed_limit": robot.speed_limit}))
+    return remedies
 
 
 def rounded_up(number: float) -> float:
