@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import math
+import re
 
+import numpy as np
 import pytest
+from scipy import optimize
 
 import hexservo as hs
+from hexservo.findings.analysis.goal import find_goals
+from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check import unlikely
+from hexservo.findings.check_way import way_of
 
 
 @pytest.fixture(scope="module")
@@ -55,3 +61,83 @@ def test_legs_that_exceed_their_speed_are_commanded_more_slowly(machine: hs.Scen
     assert cause.remedy.works
     assert cause.remedy.changes == {"actuators.position.speed_limit": 0.004}
     assert cause.remedy.words == "commands of at most 4 mm/s"
+
+
+# ---- Time for the way to the goal -----------------------------------------------------------------------------------
+
+
+RESPONSE = "actuators.position"
+
+
+def travel(scenario: hs.Scenario) -> float:
+    """Return how far the leg goes that goes farthest from home to the goal [m]."""
+    scene = scene_of(scenario)
+    goals = find_goals(scene)
+    assert goals is not None
+    return float(np.abs(scene.leg_travel(goals.best.view.pose) - scene.leg_travel(scene.home)).max())
+
+
+def of_length(scenario: hs.Scenario, duration: float) -> hs.Scenario:
+    step = scenario.simulation.step
+    return scenario.updated({"simulation.duration": step * round(duration / step)})
+
+
+@pytest.mark.parametrize("name", ["pi-h824-positions", "rubin-camera-positions"])
+@pytest.mark.parametrize("key", [f"{RESPONSE}.speed_limit", "controller.tracking.bandwidth"])
+def test_a_run_too_short_for_the_way_is_named_with_one_that_settles(name: str, key: str) -> None:
+    """A limit for which the way takes 1.3 times the run; with the advised duration it settles, as late as stated."""
+    base = hs.load_scenario(name)
+    duration = base.simulation.duration
+    way = way_of(scene_of(base))
+    assert way is not None
+    assert 0.8 * travel(base) < way.travel < travel(base)
+    # of a double pole: (1 + x) exp(-x) is left at x
+    x = optimize.brentq(lambda x: (1.0 + x) * math.exp(-x) - way.share, 0.0, 50.0)
+    slow = way.travel / (1.3 * duration) if "limit" in key else x / (2.0 * math.pi * 1.3 * duration)
+    scenario = base.updated({key: slow})
+    assert math.isnan(hs.metrics(hs.simulate(scenario))["settling_time"])
+    (sentence,) = sentences(scenario, "simulation.duration")
+    assert key in sentence
+    advised = re.search(r"take about ([\d.]+) s, or a larger ", sentence)
+    assert advised is not None
+    settling = hs.metrics(hs.simulate(of_length(scenario, float(advised.group(1)))))["settling_time"]
+    assert settling == pytest.approx(1.3 * duration, rel=0.1)
+    assert sentences(of_length(scenario, float(advised.group(1))), "simulation.duration") == []
+    assert sentences(base, "simulation.duration") == []
+
+
+def test_no_run_that_settles_is_too_short(machine: hs.Scenario) -> None:
+    """Limits from far too low to harmless: each run with a warning does not settle, and some without do."""
+    found = []
+    for key, usual in ((f"{RESPONSE}.speed_limit", 0.02), (f"{RESPONSE}.acceleration_limit", 0.05)):
+        for factor in np.logspace(-4, 0, 9):
+            scenario = machine.updated({key: usual * factor})
+            settles = math.isfinite(hs.metrics(hs.simulate(scenario))["settling_time"])
+            found.append((bool(sentences(scenario, "simulation.duration")), settles))
+    assert (True, True) not in found
+    assert found.count((True, False)) >= 4
+    assert found.count((False, True)) >= 4
+
+
+def test_tasks_without_a_way_to_a_goal_at_rest_have_no_least_duration(machine: hs.Scenario) -> None:
+    slow = machine.updated({f"{RESPONSE}.speed_limit": 1e-6})
+    assert sentences(slow, "simulation.duration")
+    for changes in (
+        {"controller.tracking.follow": "direction"},
+        {"target.motion": {"kind": "velocity", "velocity": [1e-4, 0.0, 0.0]}},
+        {"simulation.duration": 1e6 * machine.simulation.step, "metrics.band": 500.0},
+    ):
+        assert sentences(slow.updated(changes), "simulation.duration") == []
+
+
+def test_legs_that_need_a_longer_run_are_given_one(machine: hs.Scenario) -> None:
+    """Legs and duration are named, and the remedy is the time, not legs without limits."""
+    way = way_of(scene_of(machine))
+    assert way is not None
+    slow = machine.updated({f"{RESPONSE}.speed_limit": way.travel / (1.3 * machine.simulation.duration)})
+    found = {finding.cause: finding for finding in hs.diagnose(hs.simulate(slow)).named}
+    assert set(found) == {"leg_rates", "duration"}
+    for finding in found.values():
+        assert finding.remedy is not None
+        assert finding.remedy.works
+        assert set(finding.remedy.changes) == {"simulation.duration"}

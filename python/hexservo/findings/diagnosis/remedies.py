@@ -16,6 +16,9 @@ from hexservo.scenario.leg_units import leg_units
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.wording import quantity
 
+_LONGER = 3.0  # a run is tried so many times as long
+_ENOUGH = 2000  # steps that are tried in place of a few
+
 
 def slower_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
     """Slow down the loop or its adaptation, instead of a better device."""
@@ -35,6 +38,20 @@ def late_camera_remedies(case: Case, removal: Removal, record: Record) -> list[R
         words = "prediction of the features from the joint sensors between frames"
         return [Removal(words, {"camera.prediction": "encoder"}), *slower_remedies(case, removal, record)]
     return slower_remedies(case, removal, record)
+
+
+def longer_run(case: Case) -> Removal:
+    """Run three times as long, and a few steps at least."""
+    simulation = case.scenario.simulation
+    longer = max(_LONGER * simulation.duration, _ENOUGH * simulation.step)
+    longer = simulation.step * round(longer / simulation.step)
+    return Removal(f"a run of {longer:g} s", {"simulation.duration": longer})
+
+
+def leg_rates_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
+    """Slow down the loop, or give legs the time that they need, before their limits are removed."""
+    *slower, last = slower_remedies(case, removal, record)
+    return [*slower, longer_run(case), last]
 
 
 def gravity_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
