@@ -13,6 +13,7 @@ import hexservo as hs
 from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check import unlikely
+from hexservo.findings.check_sag import sag_of
 from hexservo.findings.check_way import way_of
 
 
@@ -131,13 +132,45 @@ def test_tasks_without_a_way_to_a_goal_at_rest_have_no_least_duration(machine: h
 
 
 def test_legs_that_need_a_longer_run_are_given_one(machine: hs.Scenario) -> None:
-    """Legs and duration are named, and the remedy is the time, not legs without limits."""
+    """The remedy against limits of the legs is the time that they need, not legs without limits."""
     way = way_of(scene_of(machine))
     assert way is not None
     slow = machine.updated({f"{RESPONSE}.speed_limit": way.travel / (1.3 * machine.simulation.duration)})
-    found = {finding.cause: finding for finding in hs.diagnose(hs.simulate(slow)).named}
-    assert set(found) == {"leg_rates", "duration"}
-    for finding in found.values():
-        assert finding.remedy is not None
-        assert finding.remedy.works
-        assert set(finding.remedy.changes) == {"simulation.duration"}
+    cause = hs.diagnose(hs.simulate(slow)).causes[0]
+    assert cause.cause == "leg_rates"
+    assert cause.remedy is not None
+    assert cause.remedy.works
+    assert set(cause.remedy.changes) == {"simulation.duration"}
+
+
+# ---- Motors that yield to the weight --------------------------------------------------------------------------------
+
+
+def test_an_offset_of_soft_motors_is_named_with_what_corrects_it(machine: hs.Scenario) -> None:
+    """To first order it is that of the run, stiff motors have none, and an integral with a small band settles it."""
+    exact = {"camera.noise": 0.0, "sensors.resolution": 0.0, "simulation.substeps": 40}
+    motor = {"damping": 100.0, "friction": 0.0, "armature": 0.5}
+    soft = machine.updated(
+        {
+            **exact,
+            "actuators.kind": "position_torque",
+            **{f"actuators.motor.{name}": value for name, value in motor.items()},
+            "actuators.motor.kp": 2100.0,
+            "actuators.motor.kv": 21.0,
+        }
+    )
+    sag = sag_of(scene_of(soft))
+    assert sag is not None
+    found = hs.metrics(hs.simulate(soft))
+    assert math.isnan(found["settling_time"])
+    assert sag.pixels == pytest.approx(found["final_error"], rel=0.15)
+    (sentence,) = sentences(soft, "actuators.motor.kp")
+    assert f"rests about {sag.pixels:.2g} px from the goal" in sentence
+    band = float(np.abs(sag.legs).max()) / 4.0
+    turn = band / scene_of(soft).platform_radius
+    law = {"controller.tracking.integral": 2.0, "controller.tracking.band": [band] * 3 + [turn] * 3}
+    assert sentences(soft.updated(law), "actuators.motor.kp") == []
+    assert math.isfinite(hs.metrics(hs.simulate(soft.updated(law)))["settling_time"])
+    stiff = soft.updated({"actuators.motor.kp": 1e5, "actuators.motor.kv": 1e3})
+    assert sentences(stiff, "actuators.motor.kp") == []
+    assert math.isfinite(hs.metrics(hs.simulate(stiff))["settling_time"])

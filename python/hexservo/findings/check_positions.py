@@ -1,10 +1,11 @@
-"""Legs that take positions, with limits that are legal and probably unintended: of speed, and for the duration."""
+"""Legs that take positions: limits and motors that are legal and probably unintended."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
 from hexservo.findings.analysis.scene import Scene
+from hexservo.findings.check_sag import of_sag
 from hexservo.findings.check_way import of_way
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.wording import quantity
@@ -16,6 +17,7 @@ def of_positions(scene: Scene) -> Iterator[str]:
     if scenario.simulation.mode == SAMPLED_MODE and scenario.actuators.kind != "force":
         yield from _of_speed(scene)
         yield from of_way(scene)
+        yield from of_sag(scene)
 
 
 def _of_speed(scene: Scene) -> Iterator[str]:

@@ -179,8 +179,7 @@ def alone_pairs(cause: Cause, case: Case, removal: Removal) -> list[Alone]:
     scenario = case.scenario
     without = ideal(scenario)
     if cause.kind == "task":
-        kept = cause.keys | cause.context
-        usual, own = (_less(changes, kept) for changes in ({**without, **ordinary(scenario)}, without))
+        usual, own = (_less(changes, cause.keys) for changes in ({**without, **ordinary(scenario)}, without))
         return [
             Alone({**usual, **removal.changes}, usual, removal.stroke_counts),
             # default gains that fail without the cause too prove nothing about it, as it is no setting of the law

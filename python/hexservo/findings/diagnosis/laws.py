@@ -301,7 +301,6 @@ TASKS: tuple[Cause, ...] = (
         "a run that is too short for its dwell time",
         frozenset({"simulation.duration", "metrics.dwell"}),
         _duration,
-        context=frozenset({"actuators.position.speed_limit", "actuators.position.acceleration_limit"}),
         kind="task",
     ),
     Cause(

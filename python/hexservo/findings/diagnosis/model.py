@@ -100,7 +100,7 @@ class Cause:
     """A cause of failure.
 
     A device's cause is put alone into the scenario with ideal devices, a law's into the one with ideal devices and
-    ordinary settings of the law; a task's is what is left there, beside the settings of its context.
+    ordinary settings of the law; a task's is what is left there.
     """
 
     key: str
