@@ -255,7 +255,7 @@ def _largest(scene: Scene, unit: Array) -> tuple[float, str]:
         there = scene.home.moved(sizes[:, None] * unit)
         features = scene.image(there)[0]
         seen = np.asarray(np.isfinite(to_pixels(scene.scenario, features)).all(axis=1))
-        inside = ~points_outside(scene.scenario, features).any(axis=1)
+        inside = np.asarray(~points_outside(scene.scenario, features).any(axis=1))
         good = seen & inside & scene.reachable(there)
         if good.all():
             return float(sizes[-1]), limit
