@@ -53,8 +53,8 @@ def unlikely(scenario: Scenario, *, by_law: bool = True) -> list[str]:
     image, the points of the target with the noise (`of_points`), times of the camera and of the metrics with the
     duration, the motions of base and target with what machines do (`of_motion`), the period of frames with what finds
     an unknown latency, the gate with the target's motion (`of_gate`), the way of a target with reach, image and frames
-    (`of_target`), the machine with what is built (`of_machine`), limits and motors of legs that take positions with each
-    other, duration and weight (`of_positions`), and in sampled mode the servo period with the loop of
+    (`of_target`), the machine with what is built (`of_machine`), limits and motors of legs that take positions
+    with each other, duration and weight (`of_positions`), and in sampled mode the servo period with the loop of
     the gains, linearised at home with the switching term as in `linear_law`; gains with duration, servo rate, delays,
     forces and noise (`of_gains`); the filter of `tracking` with the target's motion (`of_tracking`), what encoders read
     with the image and the fuzzy inputs (`of_joints`). Gains with which numbers of that loop overflow have a sentence
