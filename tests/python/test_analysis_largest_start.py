@@ -10,8 +10,8 @@ import pytest
 
 import hexservo as hs
 from hexservo.findings.analysis import largest_start
-from hexservo.findings.analysis.largest_start import Direction, LargestStart
-from hexservo.findings.analysis.largest_start_words import _sentences, _timing_words, border_words
+from hexservo.findings.analysis.largest_start import Direction, LargestStart, _largest
+from hexservo.findings.analysis.largest_start_words import _by_seeds, _sentences, _timing_words, border_words
 from hexservo.findings.analysis.largest_times import camera_times
 from hexservo.findings.analysis.scene import Scene, scene_of
 from hexservo.findings.analysis.settling_runs import SettlingRuns, border
@@ -45,6 +45,11 @@ def goal_at(scenario: hs.Scenario, way: Direction, size: float) -> hs.Scenario:
     return scenario.updated({"target.desired_features": hs.project(scenario, size * way.unit).tolist()})
 
 
+def of_seeds(settled: int) -> str:
+    """Return what the section states of runs with four other seeds."""
+    return "of 4 runs with other seeds " + ["none settle", "1 settles", "2 settle", "3 settle", "all settle"][settled]
+
+
 # ---- The border of what was tried -----------------------------------------------------------------------------------
 
 
@@ -54,6 +59,44 @@ def test_a_border_lies_below_the_smallest_that_fails() -> None:
     assert border({1.0: True, 2.0: True}) == (2.0, None)
     assert border({1.0: False, 2.0: True}) == (0.0, 1.0)
     assert border({}) == (0.0, None)
+
+
+def test_goals_outside_the_image_are_not_possible() -> None:
+    """The largest goal has a point at the border, half the size from the centre; shifts of it are known by hand."""
+    scenario = hs.load_scenario("fails-lost-features")
+    scene = scene_of(scenario)
+    assert scenario.camera.image_size is not None
+    half = np.array(scenario.camera.image_size) / 2.0
+    limits = []
+    for axis in range(6):
+        for sign in (1.0, -1.0):
+            unit = np.zeros(6)
+            unit[axis] = sign
+            largest, limit = _largest(scene, unit)
+            border = np.abs(hs.project(scenario, largest * unit)).reshape(-1, 2)
+            limits.append(limit)
+            if limit == "image":
+                assert (border / half).max() == pytest.approx(1.0, abs=1e-3)
+                assert (border <= half).all()
+            else:
+                assert (border < half).all()
+    assert limits == ["image", "image", "image", "stroke", "stroke", *["image"] * 7]
+    start = hs.project(scenario, np.zeros(6)).reshape(-1, 2)
+    depth = float(scene.view(scene.home).mean_depth)
+    left = (half[0] - start[:, 0].max()) * depth / scene.settings.camera.focal_pixels
+    nearer = min(_largest(scene, sign * np.eye(6)[0])[0] for sign in (1.0, -1.0))
+    cell = 0.7 * depth / 200.0**2  # of the grid and the one in its cell
+    assert left - cell <= nearer <= left
+    wide, limit = _largest(scene_of(scenario.updated({"camera.image_size": None})), np.eye(6)[3])
+    assert limit != "image"
+    assert wide > _largest(scene, np.eye(6)[3])[0]
+
+
+def test_numbers_of_seeds_that_settle_are_in_the_singular_and_plural(found: LargestStart) -> None:
+    way = found.directions[0]
+    for settled in range(5):
+        assert _by_seeds(replace(way, reseeded=(True,) * settled + (False,) * (4 - settled))) == of_seeds(settled)
+    assert _by_seeds(replace(way, reseeded=())) == ""
 
 
 def test_periods_that_a_run_does_not_show_are_not_tried() -> None:
@@ -227,7 +270,7 @@ def test_a_limit_of_camera_times_in_noise_is_repeated_with_other_seeds() -> None
     assert list(period.reseeded) == single[1:]
     assert not single[0]
     words = " ".join(_timing_words(found))
-    assert f"does not (with 4 other seeds it settles in {sum(single)} runs; some larger ones settle, up to" in words
+    assert f"does not ({of_seeds(sum(single))}; some larger ones settle, up to" in words
 
 
 def test_a_limit_of_starting_errors_in_noise_is_repeated_with_other_seeds() -> None:
@@ -246,7 +289,7 @@ def test_a_limit_of_starting_errors_in_noise_is_repeated_with_other_seeds() -> N
         settled = [bool(np.isfinite(end["settling_time"])) for end in ends]
         assert list(way.reseeded) == [both == (True, True) for both in zip(within, settled, strict=True)], way.name
     worst = next(way for way in random if border_words(way)[1] in _sentences(found)[1])
-    assert f"(with 4 other seeds it settles in {sum(worst.reseeded)} runs), of " in _sentences(found)[1]
+    assert f" ({of_seeds(sum(worst.reseeded))}), of " in _sentences(found)[1]
     calm = largest_start.analyse(scenario.updated({"camera.noise": 0.0}))
     assert any(way.fails_at is not None for way in calm.directions)
     assert all(way.reseeded == () for way in calm.directions)

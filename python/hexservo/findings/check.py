@@ -28,6 +28,7 @@ from hexservo.findings.check_machine import of_machine
 from hexservo.findings.check_motion import of_motion
 from hexservo.findings.check_period import of_period
 from hexservo.findings.check_points import of_points
+from hexservo.findings.check_positions import of_positions
 from hexservo.findings.check_prior import of_prior
 from hexservo.findings.check_target import of_target
 from hexservo.findings.check_tracking import of_tracking
@@ -52,7 +53,8 @@ def unlikely(scenario: Scenario, *, by_law: bool = True) -> list[str]:
     image, the points of the target with the noise (`of_points`), times of the camera and of the metrics with the
     duration, the motions of base and target with what machines do (`of_motion`), the period of frames with what finds
     an unknown latency, the gate with the target's motion (`of_gate`), the way of a target with reach, image and frames
-    (`of_target`), the machine with what is built (`of_machine`), and in sampled mode the servo period with the loop of
+    (`of_target`), the machine with what is built (`of_machine`), limits and motors of legs that take positions
+    with each other, duration and weight (`of_positions`), and in sampled mode the servo period with the loop of
     the gains, linearised at home with the switching term as in `linear_law`; gains with duration, servo rate, delays,
     forces and noise (`of_gains`); the filter of `tracking` with the target's motion (`of_tracking`), what encoders read
     with the image and the fuzzy inputs (`of_joints`). Gains with which numbers of that loop overflow have a sentence
@@ -70,7 +72,7 @@ def unlikely(scenario: Scenario, *, by_law: bool = True) -> list[str]:
     """
     scene = scene_of(scenario)
     sentences: list[str] = []
-    for check in (_of_legs, _of_drives, of_machine, _of_goal, of_points, of_gate, of_target):
+    for check in (_of_legs, _of_drives, of_positions, of_machine, _of_goal, of_points, of_gate, of_target):
         sentences += _evaluated(check, scene)
     for of_scenario in (_of_image, _of_principal_point, _of_duration, _of_dropout, of_motion, _of_unknown_latency):
         sentences += _evaluated(of_scenario, scenario)

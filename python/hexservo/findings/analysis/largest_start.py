@@ -22,6 +22,7 @@ from hexservo.run.goal_distance import inexact
 from hexservo.run.leg_limits import LimitUse
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.keys import value_at
+from hexservo.scenario.pixels import points_outside, to_pixels
 from hexservo.scenario.scenario import Scenario
 
 _GRID = 8  # sizes in the first round, up to the largest that is possible
@@ -34,7 +35,8 @@ class Direction:
     name: str
     unit: Array  # (6,) displacement from home at size 1 [m; rad], in B
     largest: float  # size up to which goals were possible
-    # stroke | base_joint | platform_joint | singularity | view | the region searched | the core, which refuses a larger
+    # stroke | base_joint | platform_joint | singularity | view | image | region: that searched | core, which refuses
+    # a larger one
     limited_by: str
     tried: Tried  # by size
     settling: dict[float, float]  # [s], of those that settled
@@ -240,7 +242,7 @@ def _units(scene: Scene, own: Array | None) -> list[tuple[str, Array]]:
 
 
 def _largest(scene: Scene, unit: Array) -> tuple[float, str]:
-    """Return the largest size along a direction that is reachable, in view and in the region, and what limits it.
+    """Return the largest size along a direction that is reachable, in view, image and region, and what limits it.
 
     Every pose on the way to it is reachable and seen as well, on a grid.
     """
@@ -251,12 +253,14 @@ def _largest(scene: Scene, unit: Array) -> tuple[float, str]:
     for _ in range(2):  # the grid, then refined inside the cell that has the border
         sizes = np.linspace(low, most, 201)[1:]
         there = scene.home.moved(sizes[:, None] * unit)
-        seen = np.asarray(np.isfinite(scene.pixels(there)).all(axis=1))
-        good = seen & scene.reachable(there)
+        features = scene.image(there)[0]
+        seen = np.asarray(np.isfinite(to_pixels(scene.scenario, features)).all(axis=1))
+        inside = np.asarray(~points_outside(scene.scenario, features).any(axis=1))
+        good = seen & inside & scene.reachable(there)
         if good.all():
             return float(sizes[-1]), limit
         first = int(np.argmin(good))
-        limit = _leg_limit(scene, there[first]) if seen[first] else "view"
+        limit = "view" if not seen[first] else _leg_limit(scene, there[first]) if inside[first] else "image"
         low, most = float(sizes[first - 1]) if first else low, float(sizes[first])
     return low, limit
 

@@ -33,6 +33,7 @@ _LIMITS = {
     "platform_joint": "the joints at the platform allow",
     "singularity": "has no singular pose on the way",
     "view": "leaves all points in front of the camera",
+    "image": "leaves all points in the image",
     "region": "the region searched has",
     "core": "the core accepts",
 }
@@ -211,8 +212,11 @@ def _doubt(timing: Timing) -> str:
 
 def _by_seeds(tried: Direction | Timing, before: str = "", after: str = "") -> str:
     """Return in how many runs with other seeds the smallest size or time that fails settles; empty without noise."""
-    count = len(tried.reseeded)
-    return f"{before}with {count} other seeds it settles in {sum(tried.reseeded)} runs{after}" if count else ""
+    count, settles = len(tried.reseeded), sum(tried.reseeded)
+    runs = {0: "none", count: "all"}.get(settles, str(settles))
+    return (
+        f"{before}of {count} runs with other seeds {runs} settle{'s' if settles == 1 else ''}{after}" if count else ""
+    )
 
 
 def _task(found: LargestStart) -> str:

@@ -7,7 +7,7 @@ from typing import Any
 from hexservo.findings.diagnosis.criterion import Record
 from hexservo.findings.diagnosis.environment import ORDINARY_BANDWIDTH, ideal
 from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal, always, fault, removal_by
-from hexservo.findings.diagnosis.remedies import motor_remedies, slower_remedies
+from hexservo.findings.diagnosis.remedies import leg_rates_remedies, motor_remedies, slower_remedies
 from hexservo.scenario.keys import keys_below
 
 _FRICTION = "actuators.motor.friction"
@@ -72,7 +72,7 @@ DRIVES: tuple[Cause, ...] = (
         "speed and acceleration of legs that follow positions",
         frozenset({"actuators.position.speed_limit", "actuators.position.acceleration_limit"}),
         _leg_rates,
-        slower_remedies,
+        leg_rates_remedies,
     ),
     Cause(
         "motors",

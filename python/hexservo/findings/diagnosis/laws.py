@@ -21,7 +21,7 @@ from hexservo.findings.diagnosis.environment import (
 from hexservo.findings.diagnosis.gains import GAIN_KEYS, damped, not_below_default, slower
 from hexservo.findings.diagnosis.goal import spread_target
 from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal, removal_by
-from hexservo.findings.diagnosis.remedies import leg_limits_remedies
+from hexservo.findings.diagnosis.remedies import leg_limits_remedies, longer_run
 from hexservo.findings.diagnosis.tracking import legs_within_margins
 from hexservo.scenario.blocks import Metrics
 from hexservo.scenario.laws import Fuzzy, laws_with
@@ -32,8 +32,6 @@ _WITH_FRICTION = laws_with("switching")
 _RICHER = 2.0  # a target counts as badly spread where a square would show the worst direction so many times better
 _FACTORS = (4.0, 16.0, 64.0)  # by which a loop is made slower or faster
 _SUBSTEPS = 8  # times as many are tried
-_LONGER = 3.0  # a run is tried so many times as long
-_ENOUGH = 2000  # steps that are tried in place of a few
 _WEIGHTS = frozenset(name for name in Fuzzy.model_fields if name != "adaptation")
 _OPTIONS = ("jacobian_at", "damping", "prior")
 
@@ -223,10 +221,7 @@ def _false_equilibrium(case: Case) -> list[Removal]:
 
 
 def _duration(case: Case) -> list[Removal]:
-    simulation = case.scenario.simulation
-    longer = max(_LONGER * simulation.duration, _ENOUGH * simulation.step)
-    longer = simulation.step * round(longer / simulation.step)
-    removals = [Removal(f"a run of {longer:g} s", {"simulation.duration": longer})]
+    removals = [longer_run(case)]
     usual = Metrics().dwell
     if case.scenario.metrics.dwell > usual:
         removals.append(Removal(f"a dwell time of {usual:g} s", {"metrics.dwell": usual}))

@@ -16,6 +16,9 @@ from hexservo.scenario.leg_units import leg_units
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.wording import quantity
 
+_LONGER = 3.0  # a run is tried so many times as long
+_ENOUGH = 2000  # steps that are tried in place of a few
+
 
 def slower_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
     """Slow down the loop or its adaptation, instead of a better device."""
@@ -35,6 +38,20 @@ def late_camera_remedies(case: Case, removal: Removal, record: Record) -> list[R
         words = "prediction of the features from the joint sensors between frames"
         return [Removal(words, {"camera.prediction": "encoder"}), *slower_remedies(case, removal, record)]
     return slower_remedies(case, removal, record)
+
+
+def longer_run(case: Case) -> Removal:
+    """Run three times as long, and a few steps at least."""
+    simulation = case.scenario.simulation
+    longer = max(_LONGER * simulation.duration, _ENOUGH * simulation.step)
+    longer = simulation.step * round(longer / simulation.step)
+    return Removal(f"a run of {longer:g} s", {"simulation.duration": longer})
+
+
+def leg_rates_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
+    """Slow down the loop, or give legs the time that they need, before their limits are removed."""
+    *slower, last = slower_remedies(case, removal, record)
+    return [*slower, longer_run(case), last]
 
 
 def gravity_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
@@ -144,7 +161,7 @@ def outliers_remedies(case: Case, removal: Removal, record: Record) -> list[Remo
 
 
 def leg_limits_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
-    """Use legs with larger limits, of those that end or fail the run."""
+    """Use legs with larger limits, of those that end or fail the run; commands that keep to their speed come first."""
     robot, peaks = case.scenario.robot, record.metrics
     unit = leg_units(robot).small
     changes: dict[str, Any] = {}
@@ -152,9 +169,6 @@ def leg_limits_remedies(case: Case, removal: Removal, record: Record) -> list[Re
     if peaks["peak_leg_excursion"] > robot.stroke:
         stroke = changes["robot.stroke"] = rounded_up(1.05 * peaks["peak_leg_excursion"])
         words.append(f"a stroke of {stroke * 1e3:.3g} {unit}")
-    if robot.speed_limit is not None and peaks["peak_leg_speed"] > robot.speed_limit:
-        speed = changes["robot.speed_limit"] = rounded_up(1.05 * peaks["peak_leg_speed"])
-        words.append(f"a speed limit of {speed * 1e3:.3g} {unit}/s")
     if robot.joint_limit is not None:
         tilts = [peaks["peak_base_joint"], peaks["peak_platform_joint"]]
         wider = [
@@ -163,7 +177,16 @@ def leg_limits_remedies(case: Case, removal: Removal, record: Record) -> list[Re
         if any(tilt > own for own, tilt in zip(robot.joint_limit, tilts, strict=True)):
             changes["robot.joint_limit"] = wider
             words.append(f"joint limits of {' and '.join(f'{tilt * 1e3:.3g}' for tilt in wider)} mrad")
-    return [Removal(f"legs with {' and '.join(words)}", changes)] if words else []
+    if robot.speed_limit is None or peaks["peak_leg_speed"] <= robot.speed_limit:
+        return [Removal(f"legs with {' and '.join(words)}", changes)] if words else []
+    speed = rounded_up(1.05 * peaks["peak_leg_speed"])
+    faster = [*words, f"a speed limit of {speed * 1e3:.3g} {unit}/s"]
+    remedies = [Removal(f"legs with {' and '.join(faster)}", {**changes, "robot.speed_limit": speed})]
+    if case.sampled and case.scenario.actuators.kind != "force":
+        slow = f"commands of at most {quantity(robot.speed_limit, leg_units(robot).rate)}"
+        of_legs = f"legs with {' and '.join(words)}, and {slow}" if words else slow
+        remedies.insert(0, Removal(of_legs, {**changes, "actuators.position.speed_limit": robot.speed_limit}))
+    return remedies
 
 
 def rounded_up(number: float) -> float:
