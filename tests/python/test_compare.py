@@ -412,7 +412,7 @@ def test_the_figure_shows_every_run(comparison: hs.Comparison) -> None:
         drawn = {line.get_gid() for line in panels[scenario.name].lines}
         assert {f"error {law}" for law in comparison.laws} <= drawn
     cells = [text.get_text() for text in panels["Settling time [s]"].texts]
-    assert cells == ["0.353", "0.551", "never !", "0.552", "0.499", "0.781"]
+    assert cells == ["0.353", "0.551", "never!", "0.552", "0.499", "0.781"]
     assert len({line.get_gid() for line in panels["Residual"].lines} - {None}) >= len(comparison.rows)
     line = next(line for line in panels["paper"].lines if line.get_gid() == "error hybrid")
     row = comparison.row("hybrid", "paper")
@@ -432,6 +432,39 @@ def test_names_are_drawn_as_they_are_written(paper: hs.Scenario) -> None:
     drawn = {text._preprocess_math(text.get_text()) for text in texts}
     assert {(name, False) for name in names} <= drawn
     assert all(text.startswith("$10^") for text, is_formula in drawn if is_formula)
+
+
+def test_the_end_of_a_run_is_marked_unlike_every_law() -> None:
+    compared = hs.compare(["fails-late-camera", "pi-h824-positions"], None, {"simulation.duration": 0.2})
+    early = {row.law for row in compared.rows[:7] if len(row.time) and row.outcome != "completed"}
+    assert 0 < len(early) < len(compared.laws) == 7
+    figure = compared.figure()
+    lines = {str(line.get_gid()): line for line in figure.axes[0].lines}
+    looks = [(lines[f"error {law}"].get_color(), lines[f"error {law}"].get_marker()) for law in compared.laws[:-1]]
+    (legend,) = figure.legends
+    laws, marks = [text.get_text() for text in legend.get_texts()], legend.get_lines()
+    assert laws == [*compared.laws, "ended early"]  # tracking is refused, and has no line
+    assert len({mark.get_color() for mark in marks[:-1]}) == len({mark.get_marker() for mark in marks[:-1]}) == 7
+    assert looks == [(mark.get_color(), mark.get_marker()) for mark in marks[:-2]]
+    assert not {mark.get_marker() for mark in marks} & {"X", "P", "+"}
+    assert {gid.removeprefix("end ") for gid in lines if gid.startswith("end ")} == early
+    for law in early:
+        assert lines[f"end {law}"].get_marker() == marks[-1].get_marker() == "x"
+        assert lines[f"end {law}"].get_color() == lines[f"error {law}"].get_color()
+        assert lines[f"end {law}"].get_xdata()[0] == lines[f"error {law}"].get_xdata()[-1]
+    completed = hs.compare(["paper"], ["hybrid"], {"simulation.duration": 0.02}).figure()
+    assert [text.get_text() for text in completed.legends[0].get_texts()] == ["hybrid"]
+
+
+def test_words_of_the_settling_times_are_inside_of_their_cells() -> None:
+    figure = hs.compare(["fails-late-camera"], None, {"simulation.duration": 0.2}).figure()
+    canvas = FigureCanvasAgg(figure)  # type: ignore[no-untyped-call]
+    canvas.draw()
+    (table,) = [axes for axes in figure.axes if axes.patches and axes.texts]
+    assert "diverged!" in [text.get_text() for text in table.texts]
+    for text, cell in zip(table.texts, table.patches, strict=True):
+        inside, outside = text.get_window_extent(canvas.get_renderer()), cell.get_window_extent()
+        assert outside.x0 <= inside.x0 < inside.x1 <= outside.x1, text.get_text()
 
 
 @pytest.mark.slow

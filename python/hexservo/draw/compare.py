@@ -47,12 +47,17 @@ _INKS = (
     Ink(ORANGE, (0, (1, 1))),
     Ink(PURPLE, (0, (6, 1.5))),
     Ink(BLACK, (0, (3, 1, 1, 1, 1, 1))),
+    Ink(GREY, (0, (2, 1))),
 )
-_MARKERS = ("o", "s", "^", "D", "v", "P", "X")  # one more than inks: pairs repeat after 42 laws and controllers
+# One more than inks: pairs repeat after 56 laws and controllers. None is like the cross of a run that ended early.
+_MARKERS = ("o", "s", "^", "D", "v", "<", ">", "p")
+_ENDED, _END_NAME = "x", "ended early"
 _ACROSS = 4  # panels side by side
 _POINTS = 300  # of one line: more than such a panel resolves
 _FLOOR = 1e-3  # smallest error shown [px]
 _SMALL = 7.0  # size of the names of laws and of the footnote [pt]
+_CELL = 6.5  # largest size of the text in a cell of the table [pt]
+_CELL_PART = 0.9  # of a cell's width that its text takes at most
 _ROW = 0.15  # height of a line of that size [in]
 _SLANT = 20.0  # of the laws' names below the table [deg]
 _MOST_BELOW, _MOST_IN_LEGEND = 18, 60  # characters of a law's name, below the table and in the legend
@@ -78,8 +83,10 @@ def comparison_figure(comparison: Comparison) -> Figure:
     table = line * len(names)
     left, gap = 0.55, 0.2
     in_legend = [as_written(_shortened(law, _MOST_IN_LEGEND)) for law in comparison.laws]
+    if any(_ended_early(row) for row in comparison.rows):
+        in_legend.append(_END_NAME)
     columns = _legend_columns(in_legend, PAGE - left)
-    top = 0.62 + _ROW * (-(-len(comparison.laws) // columns) - 1)  # of the legend and the title of a panel
+    top = 0.62 + _ROW * (-(-len(in_legend) // columns) - 1)  # of the legend and the title of a panel
     footnote = wrapped(_footnote(comparison), _SMALL, PAGE - 0.2)
     below = [as_written(_shortened(law, _MOST_BELOW)) for law in comparison.laws]  # the table, slanted
     reach = [text_width(name, _SMALL) for name in below]
@@ -108,8 +115,10 @@ def comparison_figure(comparison: Comparison) -> Figure:
             draw_label(axes, "x", "time [s]")
     marks = [
         Line2D([], [], color=ink.colour, linestyle=ink.dashes, marker=marker, markersize=3.5, label=name)
-        for name, (ink, marker) in zip(in_legend, looks.values(), strict=True)
+        for name, (ink, marker) in zip(in_legend, looks.values(), strict=False)  # the last name may be of the cross
     ]
+    if len(in_legend) > len(looks):
+        marks.append(_end_mark(GREY, label=_END_NAME))
     figure.legend(
         handles=marks,
         loc="upper left",
@@ -124,7 +133,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
     )
 
     count = len(comparison.laws)
-    cells = min(max(1.2, 0.62 * count), max(2.9, 0.42 * count), 3.8)
+    cells = min(max(1.2, 0.62 * count), max(2.9, 0.48 * count), 3.8)
     half, lean = cells / count / 2, math.cos(math.radians(_SLANT))
     labels = max(
         min(1.55, 0.15 + 0.062 * max(map(len, names))),
@@ -161,7 +170,7 @@ def _footnote(comparison: Comparison) -> str:
     """Explain the marks of the page."""
     dotted = " and ".join(f"{band:g}" for band in _bands(comparison))
     exceeded = " !: a leg exceeded a limit, see the table." if any(row.passed_limits for row in comparison.rows) else ""
-    return f"Dotted: {dotted} px. Cross: the run ended early. Hollow: not settled.{exceeded}{_floor_words(comparison)}"
+    return f"Dotted: {dotted} px. Hollow: not settled.{exceeded}{_floor_words(comparison)}"
 
 
 def _floor_words(comparison: Comparison) -> str:
@@ -201,8 +210,8 @@ def _draw_errors(axes: Axes, rows: list[ComparisonRow], looks: dict[str, tuple[I
             gid=f"error {row.law}",
             zorder=3,
         )
-        if row.outcome != "completed":
-            axes.plot(time[-1], error[-1], "x", color=ink.colour, markersize=5, markeredgewidth=1.2, zorder=4)
+        if _ended_early(row):
+            axes.add_line(_end_mark(ink.colour, float(time[-1]), float(error[-1]), gid=f"end {row.law}"))
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xlim(begin, end)
@@ -211,6 +220,18 @@ def _draw_errors(axes: Axes, rows: list[ComparisonRow], looks: dict[str, tuple[I
         axis.set_major_formatter(FuncFormatter(short_number))
         axis.set_minor_locator(NullLocator())
         axis.set_minor_formatter(NullFormatter())
+
+
+def _ended_early(row: ComparisonRow) -> bool:
+    """Return whether a run began and did not complete."""
+    return row.outcome != "completed" and len(row.time) > 0
+
+
+def _end_mark(colour: str, *place: float, **more: Any) -> Line2D:
+    """Return the mark of a run that ended early, at a place of axes, or for a legend."""
+    x, y = ([value] for value in place) if place else ([], [])
+    look: dict[str, Any] = {"color": colour, "linestyle": "", "marker": _ENDED, "zorder": 4}
+    return Line2D(x, y, markersize=5.5, markeredgewidth=1.3, **look, **more)
 
 
 def _thinned(
@@ -235,6 +256,7 @@ def _draw_settling(axes: Axes, comparison: Comparison) -> None:
     positive = [time for time in times if time > 0]
     low, high = (math.log(min(positive)), math.log(max(positive))) if positive else (0.0, 0.0)
     palette = colormaps[_PALETTE]
+    room = _CELL_PART * size_of(axes)[0] / len(comparison.laws)
     axes.set_xlim(-0.5, len(comparison.laws) - 0.5)
     axes.set_ylim(len(names) - 0.5, -0.5)
     for y, name in enumerate(names):
@@ -253,9 +275,10 @@ def _draw_settling(axes: Axes, comparison: Comparison) -> None:
             elif row.outcome in ("refused", "interrupted"):
                 ink = GREY
             if row.passed_limits:
-                text += " !"
+                text += "!"
+            size = min(_CELL, _CELL * room / text_width(text, _CELL))
             axes.add_patch(Rectangle((x - 0.48, y - 0.45), 0.96, 0.9, facecolor=ground, linewidth=0))
-            axes.text(x, y, text, ha="center", va="center", color=ink, fontsize=6.5, fontweight=weight)
+            axes.text(x, y, text, ha="center", va="center", color=ink, fontsize=size, fontweight=weight)
     axes.grid(visible=False)
     axes.spines[:].set_visible(False)
     axes.xaxis.tick_bottom()

@@ -110,7 +110,7 @@ def _drawn(item: Curves | HeatMap | Bars, data: list[Spec], layout: Spec, alt: s
 
 
 def _logarithmic(values: Sequence[Array]) -> Spec:
-    """Make an axis logarithmic, with labels at whole decades, or at 1, 2 and 5 if there are fewer than two.
+    """Make an axis logarithmic, with labels at whole decades, or at 1, 2 and 5 of each if there are fewer than two.
 
     Within one decade the axis stays linear: a logarithmic one may have a single label there.
     """
@@ -119,7 +119,7 @@ def _logarithmic(values: Sequence[Array]) -> Spec:
     if decades < 1:
         return {}
     if decades < 2:
-        return {"type": "log", "dtick": "D2"}
+        return {"type": "log", "dtick": "D2", "tickformat": "~g"}  # without a format 20 is "2" beside "10", 200 too
     return {"type": "log", "dtick": max(1, math.ceil(decades / 6))}
 
 
