@@ -385,3 +385,36 @@ def test_check_names_noise_of_the_joints_that_is_not_assumed() -> None:
         assert bool([text for text in unlikely(quiet) if text.startswith("controller.tracking.noise")]) == (noise < 1.0)
     print(f"{late[0]:.2f} px with the camera's noise alone, {late[1]:.2f} px with {named} px")
     assert late[1] < late[0] / 2.0
+
+
+def joint_readings(changes: dict[str, Any], noise: float | None = None) -> tuple[list[str], float]:
+    """Return what `check` states of the joints of a hexapod, and the RMS error at rest of three runs [px]."""
+    read = hexapod({"controller.tracking.noise": 0.1, "sensors": {"resolution": 0.0, "noise": 0.0} | changes})
+    stated = [text for text in unlikely(read) if text.startswith(("controller.tracking.noise", "sensors."))]
+    runs = [
+        hs.simulate(read.updated({"controller.tracking.noise": noise or 0.1, "seed": seed})) for seed in range(1, 4)
+    ]
+    return stated, float(np.sqrt(np.mean([run.feature_error[run.time > 3.0] ** 2 for run in runs])))
+
+
+def test_white_noise_of_the_joints_is_not_to_be_assumed() -> None:
+    """To assume what it leaves in the image does not make the platform quieter."""
+    noisy = {"noise": 1e-4}
+    stated, quiet = joint_readings(noisy)
+    true = scene_of(hexapod({"sensors": {"resolution": 0.0, **noisy}})).image_noise
+    assert true > 5.0 * 0.1
+    _, assumed = joint_readings(noisy, true)
+    print(f"{quiet:.3f} px, with {true:.2f} px assumed {assumed:.3f} px")
+    assert not stated
+    assert quiet < 0.2 * true
+    assert assumed > 0.9 * quiet
+
+
+def test_steps_of_the_joints_are_named_where_they_matter_against_the_band() -> None:
+    """Finer encoders are the remedy that is named, and leave less."""
+    coarse, left = joint_readings({"resolution": 2.5e-4})
+    fine, less = joint_readings({"resolution": 2.5e-5})
+    print(f"{left:.3f} px, {less:.3f} px", coarse)
+    assert [text.endswith("take finer encoders") for text in coarse] == [True]
+    assert not fine
+    assert less < left / 3.0

@@ -22,6 +22,8 @@ from hexservo.scenario.pixels import feature_noise
 from hexservo.scenario.wording import number, quantity
 
 _TIMES = 1.5  # the noise that the filter assumes, above which what it sees looks like motion
+_ASSUMED = 2.75  # times that noise, up to which assuming more made runs quieter; from 3 times on it made them worse
+_STEPPED = 5.0  # times the rounding in the image that runs had at most, where the filter follows it
 _ROUNDING = 1.0 + 1e-9
 _HELPS = 0.8  # of an error that a change has to leave at most, to be named
 _ROUNDS = 4  # in which the filter and the platform's speed that it bears are found
@@ -39,15 +41,30 @@ def of_tracking(scene: Scene) -> Iterator[str]:
 
 
 def _of_noise(scene: Scene, gains: Tracking) -> Iterator[str]:
-    """Find noise that looks like motion; of the camera alone it is `check_gains` that names it."""
-    true = scene.image_noise
-    share = share_of_restarts(scene.scenario, f"controller.{scene.scenario.controller.law}")
-    of_joints = true > 2.0 * feature_noise(scene.scenario.camera) or share * SELDOM < 1.0
-    if true > _TIMES * gains.noise and of_joints:
+    """Find rounded readings that look like motion; of the camera's noise it is `check_gains` that names it.
+
+    Noise of the joints is another one at every reading, and hardly moves the command: to assume it makes runs worse.
+    Rounding stays as long as the legs do, and moves with them, which the filter follows.
+    """
+    scenario, rounding = scene.scenario, scene.joint_rounding
+    camera = feature_noise(scenario.camera)
+    true = math.hypot(camera, rounding)
+    share = share_of_restarts(scenario, f"controller.{scenario.controller.law}")
+    of_joints = true > 2.0 * camera or share * SELDOM < 1.0
+    if true <= _TIMES * gains.noise or not of_joints or not scene.band < _STEPPED * rounding:
+        return
+    step = quantity(scenario.sensors.resolution, scene.units.coordinate)
+    steps = f"readings of the joints in steps of {step} (sensors.resolution)"
+    takes = "the filter takes these for motion of the target, and the error may exceed metrics.band"
+    if true <= _ASSUMED * gains.noise:
         yield (
-            f"controller.tracking.noise: {number(gains.noise)} px is less than the {number(true, 2)} px that the "
-            "readings of the joints (sensors.resolution, sensors.noise) and the camera leave in the image, so that the "
-            f"filter takes these for motion of the target; set it to {number(true, 2)}"
+            f"controller.tracking.noise: {number(gains.noise)} px is less than the {number(true, 2)} px that {steps} "
+            f"and the camera leave in the image, so that {takes}; set it to {number(true, 2)}"
+        )
+    elif rounding <= scene.band:  # more: `check_joints` names it
+        yield (
+            f"sensors.resolution: {steps} and the camera leave {number(true, 2)} px in the image, and "
+            f"controller.tracking.noise is {number(gains.noise)} px, so that {takes}; take finer encoders"
         )
 
 
