@@ -11,6 +11,7 @@ import numpy as np
 from hexservo import _core
 from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.scene import Scene
+from hexservo.findings.analysis.words import AXES
 from hexservo.findings.check_gains import SELDOM, share_of_restarts
 from hexservo.findings.check_gate import moved_between_frames
 from hexservo.findings.target_line import Piece, SteadyFilter, longest_behind, steady_line
@@ -28,6 +29,8 @@ _ROUNDING = 1.0 + 1e-9
 _HELPS = 0.8  # of an error that a change has to leave at most, to be named
 _ROUNDS = 4  # in which the filter and the platform's speed that it bears are found
 _FEW_FRAMES = 0.25  # periods of a swing from frame to frame, above which they show it as another one
+_REMEMBERED = 200.0  # frames, by the line
+_ABOVE = 3.0  # deviations that a band should hold
 _PHASES = 16  # of a swing, over which that is averaged
 _WHOLE = 2.0  # times the speed from which a velocity counts: 1 - 1/2^4 of it does
 
@@ -38,6 +41,7 @@ def of_tracking(scene: Scene) -> Iterator[str]:
     if isinstance(gains, Tracking):
         yield from _of_noise(scene, gains)
         yield from _of_motion(scene, gains)
+        yield from _of_band(scene, gains)
 
 
 def _of_noise(scene: Scene, gains: Tracking) -> Iterator[str]:
@@ -119,6 +123,39 @@ def _of_motion(scene: Scene, gains: Tracking) -> Iterator[str]:
         f"the platform follows from up to three times that on: until then {until}; set {remedy}certainty to 0, "
         "with which every velocity counts"
     )
+
+
+def _of_band(scene: Scene, gains: Tracking) -> Iterator[str]:
+    """Find a band that noise leaves again and again, so that no target counts as reached, and no integral begins."""
+    scenario = scene.scenario
+    if gains.integral == 0.0 or gains.follow != "pose" or scenario.target.motion.kind != "none":
+        return
+    off = off_reference(scene, gains)
+    band = np.broadcast_to(np.asarray(gains.band, dtype=float), 6)
+    axis = int((off / band).argmax())
+    if off[axis] > band[axis]:
+        unit = "m" if axis < 3 else "rad"
+        shift, turn = (_ABOVE * float(part.max()) for part in (off[:3], off[3:]))
+        yield (
+            f"controller.tracking.band: {quantity(band[axis], unit)} {AXES[axis]} is less than the "
+            f"{quantity(off[axis], unit, 2)} by which noise of the camera keeps the target as it is estimated from the "
+            "reference (standard deviation), so that controller.tracking.integral may never begin: the target has to "
+            f"stay within the band until the legs are at rest; a band of {quantity(shift, 'm', 2)} and "
+            f"{quantity(turn, 'rad', 2)} has room for it"
+        )
+
+
+def off_reference(scene: Scene, gains: Tracking) -> Array:
+    """Return how far noise keeps the estimate of a target at rest from the reference, (6,) [m; rad], about.
+
+    The line moves by a share of each reading, one over the frames that it remembers, and the reference is late by
+    1/(pi bandwidth): the sum over the frames since is a random walk with half of their variance.
+    """
+    filtered, scenario = steady_filter(scene, gains), scene.scenario
+    axes = np.linalg.inv(filtered.along)
+    reading = np.sqrt(np.square(axes) @ np.square(filtered.reading)) * feature_noise(scenario.camera) / gains.noise
+    frames = 1.0 / (math.pi * gains.bandwidth * frame_period(scenario))
+    return np.asarray(reading / _REMEMBERED * math.sqrt(max(frames, 1.0) / 2.0))
 
 
 def _of_swing(scene: Scene, gains: Tracking) -> Iterator[str]:
