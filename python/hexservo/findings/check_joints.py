@@ -50,8 +50,7 @@ def of_joints(scene: Scene) -> Iterator[str]:
 def _of_rounding(scene: Scene) -> Iterator[str]:
     """Find readings so coarse that legs which take positions rest outside the band."""
     sensors = scene.scenario.sensors
-    rounding = sensors.resolution / math.sqrt(12.0)
-    pixels = scene.joint_noise * rounding / math.hypot(sensors.noise, rounding)
+    pixels = scene.joint_rounding
     if pixels > scene.band:
         yield (
             f"sensors.resolution of {quantity(sensors.resolution, scene.units.coordinate)}: readings of the joints are "

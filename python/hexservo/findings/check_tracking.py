@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from hexservo import _core
 from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.scene import Scene
+from hexservo.findings.analysis.words import AXES
 from hexservo.findings.check_gains import SELDOM, share_of_restarts
 from hexservo.findings.check_gate import moved_between_frames
 from hexservo.findings.target_line import Piece, SteadyFilter, longest_behind, steady_line
+from hexservo.findings.target_swing import FollowingLoop, Swing
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.laws import Tracking
 from hexservo.scenario.parameters import frame_period
@@ -20,7 +23,15 @@ from hexservo.scenario.pixels import feature_noise
 from hexservo.scenario.wording import number, quantity
 
 _TIMES = 1.5  # the noise that the filter assumes, above which what it sees looks like motion
+_ASSUMED = 2.75  # times that noise, up to which assuming more made runs quieter; from 3 times on it made them worse
+_STEPPED = 5.0  # times the rounding in the image that runs had at most, where the filter follows it
 _ROUNDING = 1.0 + 1e-9
+_HELPS = 0.8  # of an error that a change has to leave at most, to be named
+_ROUNDS = 4  # in which the filter and the platform's speed that it bears are found
+_FEW_FRAMES = 0.25  # periods of a swing from frame to frame, above which they show it as another one
+_REMEMBERED = 200.0  # frames, by the line
+_ABOVE = 3.0  # deviations that a band should hold
+_PHASES = 16  # of a swing, over which that is averaged
 _WHOLE = 2.0  # times the speed from which a velocity counts: 1 - 1/2^4 of it does
 
 
@@ -30,18 +41,34 @@ def of_tracking(scene: Scene) -> Iterator[str]:
     if isinstance(gains, Tracking):
         yield from _of_noise(scene, gains)
         yield from _of_motion(scene, gains)
+        yield from _of_band(scene, gains)
 
 
 def _of_noise(scene: Scene, gains: Tracking) -> Iterator[str]:
-    """Find noise that looks like motion; of the camera alone it is `check_gains` that names it."""
-    true = scene.image_noise
-    share = share_of_restarts(scene.scenario, f"controller.{scene.scenario.controller.law}")
-    of_joints = true > 2.0 * feature_noise(scene.scenario.camera) or share * SELDOM < 1.0
-    if true > _TIMES * gains.noise and of_joints:
+    """Find rounded readings that look like motion; of the camera's noise it is `check_gains` that names it.
+
+    Noise of the joints is another one at every reading, and hardly moves the command: to assume it makes runs worse.
+    Rounding stays as long as the legs do, and moves with them, which the filter follows.
+    """
+    scenario, rounding = scene.scenario, scene.joint_rounding
+    camera = feature_noise(scenario.camera)
+    true = math.hypot(camera, rounding)
+    share = share_of_restarts(scenario, f"controller.{scenario.controller.law}")
+    of_joints = true > 2.0 * camera or share * SELDOM < 1.0
+    if true <= _TIMES * gains.noise or not of_joints or not scene.band < _STEPPED * rounding:
+        return
+    step = quantity(scenario.sensors.resolution, scene.units.coordinate)
+    steps = f"readings of the joints in steps of {step} (sensors.resolution)"
+    takes = "the filter takes these for motion of the target, and the error may exceed metrics.band"
+    if true <= _ASSUMED * gains.noise:
         yield (
-            f"controller.tracking.noise: {number(gains.noise)} px is less than the {number(true, 2)} px that the "
-            "readings of the joints (sensors.resolution, sensors.noise) and the camera leave in the image, so that the "
-            f"filter takes these for motion of the target; set it to {number(true, 2)}"
+            f"controller.tracking.noise: {number(gains.noise)} px is less than the {number(true, 2)} px that {steps} "
+            f"and the camera leave in the image, so that {takes}; set it to {number(true, 2)}"
+        )
+    elif rounding <= scene.band:  # more: `check_joints` names it
+        yield (
+            f"sensors.resolution: {steps} and the camera leave {number(true, 2)} px in the image, and "
+            f"controller.tracking.noise is {number(gains.noise)} px, so that {takes}; take finer encoders"
         )
 
 
@@ -60,6 +87,9 @@ def _of_motion(scene: Scene, gains: Tracking) -> Iterator[str]:
         return
     if period > _core.LONGEST_PREDICTION:
         yield from _of_rare_frames(scene, gains, velocities[int(np.argmax(speeds))])
+        return
+    if of_pose and motion.kind == "sinusoid":
+        yield from _of_swing(scene, gains)
         return
     filtered = steady_filter(scene, gains)
     times = filtered.in_deviations(moving, filtered.velocity) / (gains.certainty * math.sqrt(filtered.axes) or 1e-300)
@@ -85,7 +115,7 @@ def _of_motion(scene: Scene, gains: Tracking) -> Iterator[str]:
         )
     counts = float(np.linalg.norm(moving[best])) / float(times[best])
     less_noise = "controller.tracking.noise to that of the features, or "
-    remedy = less_noise if gains.noise > _ROUNDING * scene.image_noise else "controller.tracking."
+    remedy = less_noise if _assumes_more(scene, gains) else "controller.tracking."
     yield (
         f"controller.tracking.certainty: target.motion moves the target at up to {quantity(speeds.max(), 'm/s')}, "
         f"and the velocity of the law's filter counts from about {quantity(counts, 'm/s')} on, where it is "
@@ -93,6 +123,111 @@ def _of_motion(scene: Scene, gains: Tracking) -> Iterator[str]:
         f"the platform follows from up to three times that on: until then {until}; set {remedy}certainty to 0, "
         "with which every velocity counts"
     )
+
+
+def _of_band(scene: Scene, gains: Tracking) -> Iterator[str]:
+    """Find a band that noise leaves again and again, so that no target counts as reached, and no integral begins."""
+    scenario = scene.scenario
+    if gains.integral == 0.0 or gains.follow != "pose" or scenario.target.motion.kind != "none":
+        return
+    off = off_reference(scene, gains)
+    band = np.broadcast_to(np.asarray(gains.band, dtype=float), 6)
+    axis = int((off / band).argmax())
+    if off[axis] > band[axis]:
+        unit = "m" if axis < 3 else "rad"
+        shift, turn = (_ABOVE * float(part.max()) for part in (off[:3], off[3:]))
+        yield (
+            f"controller.tracking.band: {quantity(band[axis], unit)} {AXES[axis]} is less than the "
+            f"{quantity(off[axis], unit, 2)} by which noise of the camera keeps the target as it is estimated from the "
+            "reference (standard deviation), so that controller.tracking.integral may never begin: the target has to "
+            f"stay within the band until the legs are at rest; a band of {quantity(shift, 'm', 2)} and "
+            f"{quantity(turn, 'rad', 2)} has room for it"
+        )
+
+
+def off_reference(scene: Scene, gains: Tracking) -> Array:
+    """Return how far noise keeps the estimate of a target at rest from the reference, (6,) [m; rad], about.
+
+    The line moves by a share of each reading, one over the frames that it remembers, and the reference is late by
+    1/(pi bandwidth): the sum over the frames since is a random walk with half of their variance.
+    """
+    filtered, scenario = steady_filter(scene, gains), scene.scenario
+    axes = np.linalg.inv(filtered.along)
+    reading = np.sqrt(np.square(axes) @ np.square(filtered.reading)) * feature_noise(scenario.camera) / gains.noise
+    frames = 1.0 / (math.pi * gains.bandwidth * frame_period(scenario))
+    return np.asarray(reading / _REMEMBERED * math.sqrt(max(frames, 1.0) / 2.0))
+
+
+def _of_swing(scene: Scene, gains: Tracking) -> Iterator[str]:
+    """Find a sinusoid that is followed farther behind than the band, and what helps."""
+    motion, band = scene.scenario.target.motion, scene.band
+    if motion.frequency * frame_period(scene.scenario) > _FEW_FRAMES:  # `check_target` names what these show
+        return
+    whole = swing_of(scene, gains)
+    least = whole.behind()
+    pieces = swing_of(scene, gains, counted=False)
+    in_pieces = pieces.counts < _WHOLE * gains.certainty
+    if (pieces.in_pieces() if in_pieces else least) <= band:
+        return
+    helps = in_pieces and least < _HELPS * min(pieces.in_pieces(), pieces.behind(0.0))
+    still = whole.of_target
+    swings = f"target.motion moves the features by up to {number(still, 2)} px at {number(motion.frequency)} Hz"
+    left = f"about {number(least, 2)} px of that are left, beside noise"
+    if least > still:
+        left = (
+            f"about {number(least, 2)} px are left: a platform that stands still would have {number(still, 2)} px, "
+            "since the law predicts by the velocity, which changes sooner"
+        )
+    if helps:
+        less_noise = "controller.tracking.noise to that of the features, or " if _assumes_more(scene, gains) else ""
+        yield (
+            f"controller.tracking.certainty: {swings}, and not all of the velocity of the law's filter counts, since "
+            f"noise of {number(gains.noise)} px leaves much in it: the target is followed in pieces of straight lines, "
+            f"and the error may exceed metrics.band, {number(band)} px; set {less_noise or 'controller.tracking.'}"
+            f"certainty to 0, with which every velocity counts, and {left}"
+        )
+    elif least > band:
+        faster = replace(whole, loop=replace(whole.loop, bandwidth=2.0 * gains.bandwidth))
+        remedy = "a larger controller.tracking.bandwidth, " if faster.behind() < _HELPS * least else ""
+        yield (
+            f"target.motion.frequency: {swings}; even where every velocity counts {left}. metrics.band is "
+            f"{number(band)} px; {remedy}a shorter latency or a slower motion leaves less"
+        )
+
+
+def swing_of(scene: Scene, gains: Tracking, *, counted: bool = True) -> Swing:
+    """Return how a target that swings is followed, where the filter bears what the platform's own motion leaves.
+
+    Parameters
+    ----------
+    scene
+        Of a scenario with a sinusoid and the law's pose.
+    gains
+        Of the law.
+    counted
+        Whether every velocity counts, by which the platform moves.
+    """
+    motion, position = scene.scenario.target.motion, scene.scenario.actuators.position
+    w = 2.0 * math.pi * position.bandwidth
+    loop = FollowingLoop(
+        frame_period(scene.scenario), _late(scene), gains.bandwidth, 2.0 * position.damping / w, w**-2, gains.lead,
+        gains.feedback,
+    )  # fmt: skip
+    goals = find_goals(scene)
+    view = scene.view(scene.start) if goals is None else goals.best.view
+
+    def swing(speed: float) -> Swing:
+        filtered = steady_filter(scene, gains, speed)
+        return Swing(filtered, loop, np.asarray(motion.amplitude, dtype=float), motion.frequency, view.jacobian)
+
+    found = swing(0.0)
+    for _ in range(_ROUNDS):
+        found = swing(found.speed(1.0 if counted else 0.0))
+    return found
+
+
+def _assumes_more(scene: Scene, gains: Tracking) -> bool:
+    return gains.noise > _ROUNDING * scene.image_noise
 
 
 def _of_rare_frames(scene: Scene, gains: Tracking, velocity: Array) -> Iterator[str]:
@@ -144,10 +279,25 @@ def _pixels_of(scene: Scene, shift: Array) -> float:
     return float(np.abs(scene.view(scene.start).jacobian[:, :3] @ shift).max())
 
 
-def steady_filter(scene: Scene, gains: Tracking) -> SteadyFilter:
-    """Return the law's filter before the goal, or of a direction at the start, after many frames."""
+def steady_filter(scene: Scene, gains: Tracking, speed: float = 0.0) -> SteadyFilter:
+    """Return the law's filter before the goal, or of a direction at the start, after many frames.
+
+    Parameters
+    ----------
+    scene
+        Of the scenario.
+    gains
+        Of the law.
+    speed
+        Of a platform that swings [m/s], the largest: a pose of an exposure may be off by its way in a servo period.
+        What a frame gives is the mean of the information over the swing.
+    """
     period = frame_period(scene.scenario)
     variance = gains.noise**2 * _variance_per_pixel(scene, gains)
+    if speed > 0.0:
+        way = speed * scene.scenario.simulation.step
+        off = np.square(way * np.cos(np.pi * (np.arange(_PHASES) + 0.5) / _PHASES))[:, None, None]
+        variance = np.linalg.inv(np.linalg.inv(variance + off * np.diag([1.0] * 3 + [0.0] * 3)).mean(axis=0))
     acceleration = np.broadcast_to(np.asarray(gains.acceleration, dtype=float), 6)[: len(variance)]
     of_modes, modes = np.linalg.eigh(variance / np.outer(acceleration, acceleration))
     reading = np.sqrt(of_modes)

@@ -260,6 +260,13 @@ class Scene:
         return float(np.linalg.norm(by_joint)) / math.sqrt(len(by_joint))
 
     @property
+    def joint_rounding(self) -> float:
+        """Return the part of `joint_noise` that is the rounding of readings [px]."""
+        sensors = self.scenario.sensors
+        rounding = sensors.resolution / math.sqrt(12.0)
+        return self.joint_noise * rounding / math.hypot(sensors.noise, rounding) if rounding > 0.0 else 0.0
+
+    @property
     def pose_noise(self) -> Array:
         """Return a root R of the covariance R R^T of the pose at the start that encoders read, (6, 6) [m; rad]."""
         sensors = self.scenario.sensors
