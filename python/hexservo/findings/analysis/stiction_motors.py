@@ -41,7 +41,7 @@ def held_legs(scene: Scene, goal: View) -> HeldLegs:
     maps = scene.wrench_maps(goal.pose)
     carried = np.asarray(scene.settings.plant_body.weight(goal.pose.quaternion))
     weight = (1.0 - np.asarray(scene.settings["uncertainty.gravity"])) * carried
-    sag = np.linalg.solve(maps, weight) / motor.kp
+    sag: Array = np.asarray(np.linalg.solve(maps, weight) / motor.kp, dtype=float)
     seen = scene.jacobian(goal.features, goal.depth * (1.0 + np.asarray(scenario.uncertainty.depth)), goal.pose)
     by_leg = seen @ np.linalg.inv(maps.T)  # (2p, 6) [px/m; px/rad]
     held = motor.friction / motor.kp
