@@ -1162,11 +1162,12 @@ def test_the_verdict_has_the_numbers_of_the_run(name: str) -> None:
         assert f"it is settled, with {number(left)} px of the band of 2 px in the last 0.2 s" in section.sentences[0]
         assert f"where {17 / 30:.2g} mm/s are allowed" in section.sentences[0]
         return
-    words = f"the original run ends with {number(left)} px left and {number(travel)} mm of leg travel."
+    words = f"the original run has up to {number(left)} px in its last 0.2 s and {number(travel)} mm of leg travel."
     assert section.sentences[0].endswith(words)
     table = section.items[0]
     assert isinstance(table, Table)
     assert table.rows[0][4:6] == pytest.approx((left, travel))
+    assert table.columns[4].title == "largest error in the last 0.2 s"
 
 
 def test_what_chance_cures_as_well_is_counted() -> None:

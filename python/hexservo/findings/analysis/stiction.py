@@ -10,6 +10,7 @@ import numpy as np
 from hexservo.findings.analysis.goal import Goals, find_goals
 from hexservo.findings.analysis.rest import Rest, RestLaw
 from hexservo.findings.analysis.scene import Scene, scene_of
+from hexservo.findings.analysis.stiction_motors import HeldLegs, held_legs, rubs
 from hexservo.findings.analysis.stiction_runs import Runs, run
 from hexservo.findings.analysis.stiction_set import Extremes, RestSet, confirmed, extremes
 from hexservo.findings.part import Part
@@ -21,7 +22,7 @@ from hexservo.scenario.wording import number
 
 _GROWTH = 1.0  # exponent by which a direction may grow in a run and still be followed linearly
 
-Kind: TypeAlias = Literal["set", "creep", "integrated", "none", "open"]
+Kind: TypeAlias = Literal["set", "creep", "integrated", "motors", "none", "open"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +61,7 @@ class Stiction(Part):
     # (6,) [N; N m], what fuzzy systems driven by the twist alone take up on the straight way to the goal
     straight_way: Array | None = None
     prior_error: float | None = None  # [px], of the pose that an integrating law goes to
+    legs: HeldLegs | None = None  # by the dry friction of motors; None without, and where there is no goal pose
 
     @property
     def focal_pixels(self) -> float:
@@ -70,6 +72,7 @@ class Stiction(Part):
 def analyse(scenario: Scenario) -> Stiction:
     """Compute the poses at which K_v holds the platform, and compare with short runs.
 
+    Of a law without K_v on motors with dry friction, how far from the goal image that holds the legs.
     Applies to `hybrid`, and to `composite` where its fuzzy systems do not integrate, with `sign`, `implicit` or
     `implicit_coupled`; without fuzzy systems also to `tanh` and `saturation`. Other cases have a sentence only.
     """
@@ -80,6 +83,10 @@ def analyse(scenario: Scenario) -> Stiction:
         return Stiction(scene, kind, reason, nothing, nothing)
     goals = find_goals(scene)
     assert goals is not None  # a camera without points is open
+    if kind == "motors":
+        if (unusable := _no_goal(scene, goals)) is not None:
+            return Stiction(scene, "open", unusable, nothing, nothing)
+        return Stiction(scene, kind, reason, nothing, nothing, legs=held_legs(scene, goals.best.view))
     if (unusable := _unusable(scene, goals)) is not None:
         return Stiction(scene, "open", unusable, nothing, nothing)
     law = RestLaw(scene)
@@ -106,13 +113,20 @@ def analyse(scenario: Scenario) -> Stiction:
     return Stiction(scene, kind, reason, kv, law.gravity_error, tuple(cases), home, runs, straight_way=way)
 
 
-def _unusable(scene: Scene, goals: Goals) -> str | None:
-    """Return why there is no goal pose with a set around it; None where there is one."""
+def _no_goal(scene: Scene, goals: Goals) -> str | None:
+    """Return that no pose shows the goal image; None where one does."""
     if goals.best.largest_residual > scene.band:
         return (
             f"Open: no pose with the goal image was found (the best leaves {number(goals.best.largest_residual)} "
             "px), so there is no goal pose for the set."
         )
+    return None
+
+
+def _unusable(scene: Scene, goals: Goals) -> str | None:
+    """Return why there is no goal pose with a set around it; None where there is one."""
+    if (without := _no_goal(scene, goals)) is not None:
+        return without
     try:
         for goal in (goals.best, goals.nearest):
             RestLaw(scene).stiffness(goal.view.pose)
@@ -126,12 +140,19 @@ def _kind(scene: Scene) -> tuple[Kind, str]:
     scenario = scene.scenario
     law = scenario.controller.law
     if law not in laws_with("switching"):
-        return "none", f"The law {law} has no switching term: nothing holds the platform off its equilibrium."
+        if not rubs(scenario):
+            return "none", f"The law {law} has no switching term: nothing holds the platform off its equilibrium."
+        return "motors", f"The law {law} has no switching term, but its legs are held by dry friction of the motors"
     if scenario.actuators.takes_positions:
         return (
             "open",
             "Open: the legs of this machine follow positions (actuators.kind); K_v holds the virtual platform of the "
-            "controller, whose set is not analysed.",
+            "controller, whose set is not analysed."
+            + (
+                " Nor is the dry friction of the motors (actuators.motor.friction), which holds the legs too."
+                if rubs(scenario)
+                else ""
+            ),
         )
     if scenario.camera.convention == "as_printed":
         return "open", "Open: a camera as printed has no points in space, so the set has no poses."

@@ -6,11 +6,14 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.analysis.stiction import Stiction, StictionCase
+from hexservo.findings.analysis.stiction_motors import HeldLegs
 from hexservo.findings.analysis.stiction_runs import Runs
 from hexservo.findings.analysis.stiction_set import SPAN, Extremes
 from hexservo.findings.analysis.words import AXES, number
 from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict, picked
+from hexservo.scenario.wording import quantity
 
 PAGE = "docs/analysis/stiction.md"
 _BORDER = 1.01  # times K_v: viscous damping lets a platform end on the border of the set, where it comes to rest slowly
@@ -32,6 +35,8 @@ def _verdict(found: Stiction) -> Verdict:
     if found.kind == "none":
         return "good"
     error = found.prior_error
+    if found.legs is not None:
+        error = _left_by(found.legs)
     if found.cases:
         ends = found.cases[0].ends
         if ends is None:
@@ -47,7 +52,34 @@ def _largest(found: Stiction) -> float:
     return max(max(case.ends.largest, case.confirmed or 0.0) for case in found.cases if case.ends is not None)
 
 
+def _left_by(legs: HeldLegs) -> float:
+    """Return the largest image error that dry friction of motors leaves under the law [px]."""
+    return legs.largest if legs.integrated is None else min(legs.largest, legs.integrated)
+
+
+def _of_motors(reason: str, legs: HeldLegs, scene: Scene) -> list[str]:
+    unit = scene.units.coordinate
+    words = [
+        f"{reason}, up to friction/kp = {quantity(legs.held, unit)} from their commands: at the goal this and the "
+        f"weight (up to {quantity(float(np.abs(legs.sag).max()), unit)}) leave image errors of up to "
+        f"{number(legs.largest)} px in a coordinate, where {number(scene.band)} px count as settled."
+    ]
+    if legs.integrated is not None:
+        words.append(
+            "The integral of the law moves the legs on until at most twice its band is left, "
+            f"{number(legs.integrated)} px."
+        )
+    elif legs.largest > scene.band:
+        words.append(
+            "The law has no integral, so this error remains: it takes motors with a larger kp or less friction, or the "
+            "law tracking with an integral above 0."
+        )
+    return words
+
+
 def _sentences(found: Stiction) -> list[str]:
+    if found.legs is not None:
+        return _of_motors(found.reason, found.legs, found.scene)
     if found.kind in ("none", "open", "integrated"):
         words = [found.reason]
         if found.prior_error is not None:
@@ -279,6 +311,14 @@ def _data(found: Stiction) -> dict[str, object]:
         "creep_left": None if found.creep is None else found.creep.left,
         "fuzzy_straight_way": found.straight_way,
         "prior_error": found.prior_error,
+        "motors": None
+        if found.legs is None
+        else {
+            "held": found.legs.held,
+            "sag": found.legs.sag,
+            "largest_error": found.legs.largest,
+            "integrated_error": found.legs.integrated,
+        },
         "cases": [
             {
                 "name": case.name,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from hexservo.findings.certificate.energy import EnergyLedger
-from hexservo.findings.certificate.words import stride
 from hexservo.findings.evidence import Column, Curves, Line, Section, Table, picked
 from hexservo.scenario.wording import joules, shown_unit
 
@@ -72,20 +71,16 @@ def section(found: EnergyLedger) -> Section:
         note=f"{found.crossings} steps contain a sign change of a twist component.",
         page=PAGE,
     )
-    shown = stride(len(found.time))
     curves = Curves(
         "Work of each term so far",
         "time [s]",
         f"work [{unit}]",
-        [
-            Line(_NAMES[term], found.time[shown], np.r_[0.0, np.cumsum(found.works[term])][shown] * scale)
-            for term in largest
-        ]
+        [Line(_NAMES[term], found.time, np.r_[0.0, np.cumsum(found.works[term])] * scale) for term in largest]
         + [
             Line(
                 "change of kinetic energy",
-                found.time[shown],
-                (found.energy - found.energy[0])[shown] * scale,
+                found.time,
+                (found.energy - found.energy[0]) * scale,
                 "dashed",
             )
         ],

@@ -6,7 +6,7 @@ import numpy as np
 
 from hexservo.findings.certificate.lyapunov import Lyapunov, Rise
 from hexservo.findings.certificate.uncertainty import AXES
-from hexservo.findings.certificate.words import stride
+from hexservo.findings.certificate.words import markers
 from hexservo.findings.evidence import Column, Curves, Line, Section, Table, Verdict, picked
 from hexservo.scenario.laws import SMOOTH_KINDS
 from hexservo.scenario.wording import joules, number, shown_unit
@@ -122,8 +122,7 @@ def _verdict(found: Lyapunov) -> Verdict:
 
 
 def _items(found: Lyapunov) -> tuple[Table | Curves, ...]:
-    shown = stride(len(found.time))
-    time = found.time[shown]
+    time = found.time
     floor = np.finfo(float).tiny
     rises = sorted(found.rises, key=lambda rise: -rise.rate)
     grows, per_watt = shown_unit(
@@ -135,8 +134,8 @@ def _items(found: Lyapunov) -> tuple[Table | Curves, ...]:
         found.image - found.image[0],
         found.change - (found.kinetic - found.kinetic[0]) - (found.image - found.image[0]),
     )
-    change, per_joule = shown_unit(max(float(np.abs(part[shown]).max()) for part in changes), "J")
-    rates = (found.predicted[shown], found.differentiated[shown])
+    change, per_joule = shown_unit(max(float(np.abs(part).max()) for part in changes), "J")
+    rates = (found.predicted, found.differentiated)
     compared = np.isfinite(rates[1]).any()  # not in a run of a few steps
     power, per_axis_watt = shown_unit(max(float(np.nanmax(np.abs(rate))) for rate in rates) if compared else 0.0, "W")
     table = Table.of(
@@ -161,7 +160,7 @@ def _items(found: Lyapunov) -> tuple[Table | Curves, ...]:
         f"V-dot [{power}]",
         [
             Line("by (20)", time, rates[0] * per_axis_watt),
-            Line("by differences of V", time, rates[1] * per_axis_watt, "points"),
+            markers("by differences of V", time, rates[1] * per_axis_watt),
         ],
         page=PAGE,
     )
@@ -172,8 +171,8 @@ def _items(found: Lyapunov) -> tuple[Table | Curves, ...]:
             "V and its terms",
             "time [s]",
             "energy [J]",
-            [Line("V", time, np.maximum(found.value[shown], floor))]
-            + [Line(name, time[part[shown] > 0], part[shown][part[shown] > 0]) for name, part in terms],
+            [Line("V", time, np.maximum(found.value, floor))]
+            + [Line(name, time[part > 0], part[part > 0]) for name, part in terms],
             y_log=True,
             page=PAGE,
         ),
@@ -182,7 +181,7 @@ def _items(found: Lyapunov) -> tuple[Table | Curves, ...]:
             "time [s]",
             f"change [{change}]",
             [
-                Line(name, time, part[shown] * per_joule)
+                Line(name, time, part * per_joule)
                 for name, part in zip(("V", *(name for name, _ in terms)), changes, strict=True)
             ],
             page=PAGE,

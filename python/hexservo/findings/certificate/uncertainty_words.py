@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from hexservo.findings.certificate.uncertainty import AXES, UNITS, Assumption
-from hexservo.findings.certificate.words import stride
 from hexservo.findings.evidence import Column, Curves, Line, Section, Table, picked
 from hexservo.scenario.wording import number
 
@@ -68,12 +67,11 @@ def section(found: Assumption) -> Section:
         note="Margin: k_v - eta_Delta.",
         page=PAGE,
     )
-    shown = stride(len(found.time))
     curves = Curves(
         "Error that the best weights leave, as a part of k_v",
         "time [s]",
         "gamma_j / k_v,j [1]",
-        [Line(AXES[j], found.time[shown], found.gamma[shown, j] / found.kv[j]) for j in range(6) if found.kv[j] > 0.0],
+        [Line(AXES[j], found.time, found.gamma[:, j] / found.kv[j]) for j in range(6) if found.kv[j] > 0.0],
         note="The assumption holds where all are within -1 and 1.",
         page=PAGE,
     )

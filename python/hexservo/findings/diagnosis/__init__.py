@@ -127,7 +127,7 @@ def _as_remedy(case: Case, removal: Removal, record: Record, after: Judgement) -
 
 def _finding(case: Case, trial: Trial, signature: Signature, remedy: Remedy | None) -> Finding:
     without = _as_remedy(case, trial.removal, trial.record, trial.judgement)
-    outcome = how(without, case.scenario.robot)
+    outcome = how(without, case.scenario)
     evidence = [f"With {without.words} the run {outcome}; {trial.cure:.0%} of the failure is gone."]
     if trial.alone:
         evidence.append("Alone, in a scenario without other faults, it also makes the run fail.")

@@ -44,7 +44,9 @@ def section(found: Diagnosis) -> Section:
     if found.named:
         sentences += found.named[0].evidence[1:]
     sentences += _sureness(found)
-    sentences += [remedy_sentence(finding, _robot(found)) for finding in found.causes if finding.remedy is not None]
+    sentences += [
+        remedy_sentence(finding, found.result.scenario) for finding in found.causes if finding.remedy is not None
+    ]
     return Section(
         "diagnosis", "Diagnosis", [*sentences, *found.warnings], (_table(found), *_curves(found)), "bad", data
     )
@@ -53,8 +55,8 @@ def section(found: Diagnosis) -> Section:
 def _verdict(found: Diagnosis) -> str:
     assert found.judgement is not None
     assert found.record is not None
-    robot = _robot(found)
-    was = ends(found.record.outcome, found.judgement.error * found.band, found.leg_travel, found.record.drift, robot)
+    scenario, robot = found.result.scenario, _robot(found)
+    was = ends(found.record.outcome, found.judgement.error * found.band, found.leg_travel, found.record.drift, scenario)
     first = found.causes[0] if found.causes else None
     if found.obstacle is not None:
         return _of_obstacle(found.obstacle)
@@ -63,7 +65,7 @@ def _verdict(found: Diagnosis) -> str:
             return f"The run is too short: with simulation.duration={found.too_short:g} it passes."
         return (
             f"The most likely cause is {first.title}: with {first.without.words} the run "
-            f"{how(first.without, robot)}; the original run {was}."
+            f"{how(first.without, scenario)}; the original run {was}."
         )
     if not found.result.by_law:
         if first is None or first.score <= _WEAK:
@@ -86,7 +88,7 @@ def _verdict(found: Diagnosis) -> str:
         return _of_two(found, was)
     words = f"Not explained: it {was}, and none of the {len(found.causes)} causes that were tried explains it."
     if first is not None and first.without is not None and first.cure:
-        words += f" The most effective change was {first.without.words}: the run then {how(first.without, robot)}."
+        words += f" The most effective change was {first.without.words}: the run then {how(first.without, scenario)}."
     return words
 
 
@@ -156,7 +158,7 @@ def _table(found: Diagnosis) -> Table:
         Column("score", format=".2f"),
         Column("what was changed"),
         Column("outcome"),
-        Column("remaining error", "px"),
+        Column(f"largest error in the last {number(found.result.scenario.metrics.dwell)} s", "px"),
         Column("leg travel", _unit(found), ".3g"),
         Column("fails alone"),
     )

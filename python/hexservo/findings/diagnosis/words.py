@@ -10,8 +10,8 @@ from hexservo.findings.diagnosis.criterion import DRIFT_TIME, Judgement, Record
 from hexservo.findings.diagnosis.findings import Finding, Remedy
 from hexservo.run.leg_limits import LimitUse, limits_of_motion
 from hexservo.run.result import Result
-from hexservo.scenario.blocks import Robot
 from hexservo.scenario.leg_units import leg_units
+from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import apart, number, percent_used
 
 FEW = 40  # samples, or steps
@@ -24,10 +24,10 @@ def joined(parts: Sequence[str]) -> str:
     return "; ".join(parts)
 
 
-def how(run: Remedy, robot: Robot) -> str:
+def how(run: Remedy, scenario: Scenario) -> str:
     """Return the outcome of a run as a clause."""
     return f"{'passes' if run.works else 'still fails'}: it " + ends(
-        run.outcome, run.error, run.leg_travel, run.drift, robot
+        run.outcome, run.error, run.leg_travel, run.drift, scenario
     )
 
 
@@ -36,12 +36,16 @@ def spelt(outcome: str) -> str:
     return outcome.replace("_", " ")
 
 
-def ends(outcome: str, error: float, leg_travel: float, drift: float, robot: Robot) -> str:
-    """Return how a run ended."""
+def ends(outcome: str, error: float, leg_travel: float, drift: float, scenario: Scenario) -> str:
+    """Return how a run ended; the error is the largest one within the dwell time before the end [px]."""
     if outcome != "completed":
         return f"ends early ({spelt(outcome)})"
+    robot = scenario.robot
     unit, shown = leg_units(robot).small, _SHOWN_DRIFT * robot.stroke / DRIFT_TIME
-    words = f"ends with {number(error)} px left and {number(leg_travel * 1e3)} {unit} of leg travel"
+    words = (
+        f"has up to {number(error)} px in its last {number(scenario.metrics.dwell)} s "
+        f"and {number(leg_travel * 1e3)} {unit} of leg travel"
+    )
     return words + (f", and still drifts at {number(drift * 1e3, 2)} {unit}/s" if drift > shown else "")
 
 
@@ -123,12 +127,12 @@ def warnings_of(result: Result, judgement: Judgement) -> tuple[str, ...]:
     return tuple(found)
 
 
-def remedy_sentence(finding: Finding, robot: Robot) -> str:
+def remedy_sentence(finding: Finding, scenario: Scenario) -> str:
     """Return the remedy against a cause, and the outcome of the run with it."""
     remedy = finding.remedy
     assert remedy is not None
     keys = ", ".join(f"{key}={_value(value)}" for key, value in remedy.changes.items())
-    outcome = how(remedy, robot)
+    outcome = how(remedy, scenario)
     if finding.without is not None and remedy.changes == finding.without.changes:
         return f"Against {finding.title}: {remedy.words} ({keys}); that run {outcome}."
     return f"Against {finding.title}: {remedy.words} ({keys}). Tried: the run {outcome}."
