@@ -871,6 +871,7 @@ DRAW_ALL = """async () => {
 }"""
 
 
+@pytest.mark.slow
 @in_browser
 def test_labels_of_a_short_logarithmic_axis_are_whole_numbers(browser: Browser, tmp_path: Path) -> None:
     file = tmp_path / "page.html"
@@ -884,7 +885,6 @@ def test_labels_of_a_short_logarithmic_axis_are_whole_numbers(browser: Browser, 
     assert labels == ["20", "50", "100", "200"]
 
 
-@pytest.mark.slow
 @in_browser
 def test_it_loads_without_an_error_or_a_request(visit: Callable[..., Visit]) -> None:
     seen = visit(viewport=LAPTOP)
