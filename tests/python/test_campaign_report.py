@@ -221,6 +221,7 @@ def test_an_axis_within_one_decade_is_linear() -> None:
         (spec,) = re.findall(r"<script[^>]*>(\{.*?\})</script>", found)
         layout = json.loads(spec)["layout"]
         assert layout["yaxis"].get("type") == kind
+        assert layout["yaxis"].get("tickformat") == ("~g" if kind else None)  # else 0.02 and 0.2 are both labelled "2"
         assert layout["xaxis"]["type"] == "log"
 
 

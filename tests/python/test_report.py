@@ -873,19 +873,6 @@ DRAW_ALL = """async () => {
 
 @pytest.mark.slow
 @in_browser
-def test_labels_of_a_short_logarithmic_axis_are_whole_numbers(browser: Browser, tmp_path: Path) -> None:
-    file = tmp_path / "page.html"
-    file.write_text(page(hs.simulate(hs.load_scenario("fails-late-camera"))), encoding="utf-8")
-    visited = Visit(browser, file)
-    box = visited.open().locator("figure", has_text="Worst direction for different placements").locator(".chart")
-    box.scroll_into_view_if_needed()
-    box.locator(".xtick text").first.wait_for(state="attached")
-    labels = box.locator(".xtick text").all_text_contents()
-    visited.context.close()
-    assert labels == ["20", "50", "100", "200"]
-
-
-@in_browser
 def test_it_loads_without_an_error_or_a_request(visit: Callable[..., Visit]) -> None:
     seen = visit(viewport=LAPTOP)
     seen.to_view()
