@@ -451,14 +451,14 @@ def test_the_end_of_a_run_is_marked_unlike_every_law() -> None:
     for law in early:
         assert lines[f"end {law}"].get_marker() == marks[-1].get_marker() == "x"
         assert lines[f"end {law}"].get_color() == lines[f"error {law}"].get_color()
-        assert lines[f"end {law}"].get_xdata()[0] == lines[f"error {law}"].get_xdata()[-1]
+        assert np.asarray(lines[f"end {law}"].get_xdata())[0] == np.asarray(lines[f"error {law}"].get_xdata())[-1]
     completed = hs.compare(["paper"], ["hybrid"], {"simulation.duration": 0.02}).figure()
     assert [text.get_text() for text in completed.legends[0].get_texts()] == ["hybrid"]
 
 
 def test_words_of_the_settling_times_are_inside_of_their_cells() -> None:
     figure = hs.compare(["fails-late-camera"], None, {"simulation.duration": 0.2}).figure()
-    canvas = FigureCanvasAgg(figure)  # type: ignore[no-untyped-call]
+    canvas: Any = FigureCanvasAgg(figure)
     canvas.draw()
     (table,) = [axes for axes in figure.axes if axes.patches and axes.texts]
     assert "diverged!" in [text.get_text() for text in table.texts]

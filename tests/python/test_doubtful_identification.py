@@ -345,8 +345,10 @@ def test_a_timeout_that_measured_times_exceed_is_raised_and_named(
     found = hs.identify(log, machine)
     assert found.changes["camera.timeout"] == pytest.approx(0.18 if stamps is None else 0.2)
     assert found.as_logged.camera.timeout == found.scenario.camera.timeout
+    timeout = found.scenario.camera.timeout
+    assert timeout is not None
     with pytest.raises(ValueError, match=r"camera\.timeout"):
-        found.as_logged.updated({"camera.timeout": found.scenario.camera.timeout - 0.01})
+        found.as_logged.updated({"camera.timeout": timeout - 0.01})
     section = found.sections()[-1]
     assert section.verdict == "warning"
     assert any("`camera.timeout` of 100 ms conflicts" in sentence for sentence in section.sentences)

@@ -213,7 +213,9 @@ def test_what_the_log_does_not_determine_is_open() -> None:
     values = {"kp": 40.0, "damping": 1.0, "armature": 2e-4, "friction": 1e-5}
     found = _intervals(values, np.array([0.02, 0.01, 1.7, 20.0]), 1e-4)
     assert [key for key, one in found.items() if not one.is_bounded] == ["armature"]
-    assert found["friction"] == Interval(0.0, 0.0, pytest.approx(1e-5 * (1 + 1.959964 * 20.0), rel=1e-6))
+    friction = found["friction"]
+    assert (friction.value, friction.low) == (0.0, 0.0)
+    assert friction.high == pytest.approx(1e-5 * (1 + 1.959964 * 20.0), rel=1e-6)
     assert not _intervals(values, np.array([0.02, 0.01, 0.1, 2e3]), 1e-4)["friction"].is_bounded
     friction = _intervals(values | {"friction": 5e-4}, np.array([0.02, 0.01, 0.1, 1.4]), 1e-4)["friction"]
     assert not friction.is_bounded
@@ -223,7 +225,14 @@ def motors_of(armature: Interval, **others: object) -> MotorFit:
     """Motors of which all but the armature is known."""
     one = {key: Interval(value, 0.9 * value, 1.1 * value) for key, value in (("kp", 40.0), ("damping", 1.0))}
     curves = np.zeros((3, 6))
-    fields = {"delay": 1, "limit": 0.5, "noise": 1e-4, "correlated": 1.0, "error": 1e-4, "error_of_drives": 2e-4}
+    fields: dict[str, Any] = {
+        "delay": 1,
+        "limit": 0.5,
+        "noise": 1e-4,
+        "correlated": 1.0,
+        "error": 1e-4,
+        "error_of_drives": 2e-4,
+    }
     fields |= {"explained": 0.99, "units": leg_units(hs.load_scenario("reachy-mini").robot), "substeps": 2}
     curve = {"time": np.arange(3.0), "measured": curves, "predicted": curves}
     friction = Interval(0.01, 0.009, 0.011)

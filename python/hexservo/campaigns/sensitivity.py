@@ -318,8 +318,9 @@ def sobol_indices(function: Callable[[Array], Array], dimension: int, samples: i
     ]
     for each in ends:  # without any effect every resample gives 0, of which the bootstrap makes 0/0
         each[total == 0.0] = 0.0
-    outputs = []
+    outputs: list[Indices | str] = []
     for row in range(len(drawn)):
-        each = Indices(first[row], ends[0][row], total[row], ends[1][row])
-        outputs.append(_without_variance(everything[row], drawn[row]) or _without_meaning(each) or each)
+        found_indices = Indices(first[row], ends[0][row], total[row], ends[1][row])
+        reason = _without_variance(everything[row], drawn[row]) or _without_meaning(found_indices)
+        outputs.append(reason or found_indices)
     return outputs
