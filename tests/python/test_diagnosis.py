@@ -636,7 +636,7 @@ def test_noise_is_seldom_taken_for_a_drift() -> None:
 def test_a_drift_is_reported_from_a_fifth_of_what_is_allowed_on() -> None:
     """A stroke of 17 mm allows 0.57 mm/s, and one of 0.06 mm, of a small machine, 0.002 mm/s."""
     scenario = hs.load_scenario("fails-stiction")
-    micro, small = scenario.robot, scenario.updated({"robot.stroke": 6e-5}).robot
+    micro, small = scenario, scenario.updated({"robot.stroke": 6e-5})
     assert "drifts" not in ends("completed", 5.0, 1e-3, 1e-4, micro)
     assert "and still drifts at 0.2 mm/s" in ends("completed", 5.0, 1e-3, 2e-4, micro)
     assert "drifts" not in ends("completed", 5.0, 1e-5, 3e-7, small)
