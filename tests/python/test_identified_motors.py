@@ -237,7 +237,7 @@ def motors_of(armature: Interval, **others: object) -> MotorFit:
     fields |= {"explained": 0.99, "units": leg_units(hs.load_scenario("reachy-mini").robot), "substeps": 2}
     curve = {"time": np.arange(3.0), "measured": curves, "predicted": curves}
     friction = Interval(0.01, 0.009, 0.011)
-    return MotorFit(**(one | {"armature": armature, "friction": friction} | fields | curve | others))  # type: ignore[arg-type]
+    return MotorFit(**(one | {"armature": armature, "friction": friction} | fields | curve | others))
 
 
 def test_what_the_log_does_not_determine_is_no_key_and_not_good() -> None:
