@@ -861,7 +861,7 @@ def test_a_written_bandwidth_is_judged_in_place_of_the_fitted_one(
     scenario = hs.load_scenario("pi-h824-positions").updated({"controller.tracking.auto.bandwidth": auto})
     if written is not None:
         scenario = scenario.updated({"controller.tracking.bandwidth": written})
-    found = [sentence for sentence in unlikely(scenario) if "bandwidth" in sentence]
+    found = [words for words in unlikely(scenario) if words.startswith("controller.") and "bandwidth" in words]
     assert [sentence.startswith(words or "none") for sentence in found] == ([True] if words else [])
 
 

@@ -234,7 +234,7 @@ def motors_of(armature: Interval, **others: object) -> MotorFit:
         "error": 1e-4,
         "error_of_drives": 2e-4,
     }
-    fields |= {"explained": 0.99, "units": leg_units(hs.load_scenario("reachy-mini").robot), "substeps": 2}
+    fields |= {"explained": 0.99, "still": (), "units": leg_units(hs.load_scenario("reachy-mini").robot), "substeps": 2}
     curve = {"time": np.arange(3.0), "measured": curves, "predicted": curves}
     friction = Interval(0.01, 0.009, 0.011)
     return MotorFit(**(one | {"armature": armature, "friction": friction} | fields | curve | others))

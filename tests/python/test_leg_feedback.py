@@ -139,7 +139,11 @@ def test_an_integral_of_more_than_half_its_margin_is_noted() -> None:
 )
 def test_a_band_that_is_wide_beside_the_stroke_is_noted(changes: dict[str, Any], words: str) -> None:
     scenario = hs.load_scenario("pi-h824-positions").updated({"controller.tracking.integral": 2.0, **changes})
-    found = [sentence for sentence in unlikely(scenario) if sentence.startswith("controller.tracking.band: ")]
+    found = [
+        sentence
+        for sentence in unlikely(scenario)
+        if sentence.startswith("controller.tracking.band: the integral begins")
+    ]
     assert len(found) == bool(words)
     assert words in "".join(found)
 

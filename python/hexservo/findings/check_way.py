@@ -40,7 +40,9 @@ def of_way(scene: Scene) -> Iterator[str]:
     duration, dwell = scenario.simulation.duration, scenario.metrics.dwell
     late = scenario.camera.latency + scenario.actuators.delay
     times = least_times(scene, way)
-    key, longest = max(times.items(), key=lambda item: item[1], default=("", 0.0))
+    if not times:  # nothing limits the way
+        return
+    key, longest = max(times.items(), key=lambda item: item[1])
     if late + _SURE * longest + dwell <= duration:
         return
     name, unit = key.rpartition(".")[2], scene.units.coordinate
