@@ -195,23 +195,24 @@ def test_the_library_has_every_function_of_the_standard_and_no_other() -> None:
     assert {name for name in found if name.startswith("fmi")} == expected - model_exchange
 
 
-def test_a_unit_needs_only_what_every_linux_has(make: Any) -> None:
+def elf_of(made: Made, option: str) -> str:
+    """Return what readelf prints of a unit's library."""
     readelf = shutil.which("readelf")
     if readelf is None:
         pytest.skip("readelf is not installed")
-    library = Path(make(hs.load_scenario("paper"), 2).folder) / "binaries" / "linux64" / "hexservo.so"
-    listed = subprocess.run([readelf, "-d", str(library)], capture_output=True, text=True, check=True).stdout
+    library = Path(made.folder) / "binaries" / "linux64" / "hexservo.so"
+    return subprocess.run([readelf, option, str(library)], capture_output=True, text=True, check=True).stdout
+
+
+def test_a_unit_needs_only_what_every_linux_has(make: Any) -> None:
+    listed = elf_of(make(hs.load_scenario("paper"), 2), "-d")
     needed = set(re.findall(r"\(NEEDED\).*\[(.*)\]", listed))
     assert needed <= {"libstdc++.so.6", "libgcc_s.so.1", "libm.so.6", "libc.so.6", "ld-linux-x86-64.so.2"}
 
 
 def test_a_unit_calls_its_own_core_whatever_a_program_has_loaded(make: Any) -> None:
     """A host may have another release of the library of the C interface, with the same names."""
-    readelf = shutil.which("readelf")
-    if readelf is None:
-        pytest.skip("readelf is not installed")
-    library = Path(make(hs.load_scenario("paper"), 2).folder) / "binaries" / "linux64" / "hexservo.so"
-    listed = subprocess.run([readelf, "-rW", str(library)], capture_output=True, text=True, check=True).stdout
+    listed = elf_of(make(hs.load_scenario("paper"), 2), "-rW")
     assert re.findall(r"\b(?:hexservo|fmi[23])\w+", listed) == []
 
 

@@ -391,18 +391,17 @@ def test_what_has_no_worst_case(tmp_path: Path) -> None:
         hs.worst_case(result, restarts=0)
 
 
+def campaign_of(folder: Path, *changes: str) -> list[str]:
+    """Return the command for the file c.yaml of a folder, into its folder out."""
+    sets = [word for change in changes for word in ("--set", change)]
+    return ["campaign", str(folder / "c.yaml"), "--out", str(folder / "out"), *sets]
+
+
 def test_a_worst_case_of_seeds_alone_is_refused_before_the_runs(tmp_path: Path) -> None:
     (tmp_path / "c.yaml").write_text(
         "scenario: slow-camera\nvary: {seed: each}\nrequire: [outcome == completed]\nruns: 2\n", encoding="utf-8"
     )
-    arguments = [
-        "campaign",
-        str(tmp_path / "c.yaml"),
-        "--out",
-        str(tmp_path / "out"),
-        "--set",
-        "simulation.duration=0.3",
-    ]
+    arguments = campaign_of(tmp_path, "simulation.duration=0.3")
     code, out, err = invoke(*arguments, "--worst", "--report")
     assert (code, out) == (2, "")
     assert err.startswith("Error: --worst: expected more that varies than seed")
@@ -416,16 +415,7 @@ def test_the_command_searches_the_worst_case(tmp_path: Path) -> None:
         "require: [settling_time <= 0.04]\nruns: 20\n",
         encoding="utf-8",
     )
-    arguments = [
-        "campaign",
-        str(tmp_path / "c.yaml"),
-        "--out",
-        str(tmp_path / "out"),
-        "--set",
-        "simulation.duration=0.05",
-        "--set",
-        "metrics.dwell=0.01",
-    ]
+    arguments = campaign_of(tmp_path, "simulation.duration=0.05", "metrics.dwell=0.01")
     code, out, err = invoke(*arguments, "--worst")
     assert (code, err) == (0, "")
     assert f"the worst case found: hexservo run {tmp_path}/out/worst-case.yaml" in out

@@ -227,7 +227,8 @@ class TuneResult(Findings):
             worse = f"none, but there are worse ones: the held-out runs have {larger}; {least}"
         else:
             fails = f"{least}; " if min((self.worst_margin, *self.end_margins)) < 0 else ""
-            worse = f"none; {fails}{self.joined} worst cases are among the variations"
+            cases = "case is" if self.joined == 1 else "cases are"
+            worse = f"none; {fails}{self.joined} worst {cases} among the variations"
         sentences.append(f"The last search for a worse case{draw} found {worse}.")
         if self.refused:
             sentences.append(without_refused(self.refused))
