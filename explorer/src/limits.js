@@ -68,7 +68,7 @@ const AT_END = 1e-6; // share of the stroke: commands end short of it by a billi
 export function restAtStroke(state, run) {
   if (valueOf(state, "actuators.kind") !== "position") return [];
   const stroke = valueOf(state, "robot.stroke");
-  const middle = middles(state, run);
+  const middle = run.middle ?? middles(state, run);
   const legs = middle ? LEGS.filter((leg) => travel({ ...run, middle }, run.rows - 1, leg) >= (1 - AT_END) * stroke).map((leg) => leg + 1) : [];
   if (!legs.length) return [];
   const which = legs.length > 1 ? `legs ${legs.join(", ")} are at the end of their` : `leg ${legs[0]} is at the end of its`;

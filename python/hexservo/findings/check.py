@@ -119,7 +119,7 @@ def _of_rates(scene: Scene) -> Iterator[str]:
 
 
 def _of_legs(scene: Scene) -> Iterator[str]:
-    robot, forces = scene.scenario.robot, _resting_forces(scene)
+    robot, forces = scene.scenario.robot, scene.resting_forces(scene.home)
     leg, unit = int(np.abs(forces).argmax()), scene.units.effort
     friction = scene.scenario.actuators.motor.friction
     rubs = scene.scenario.actuators.kind == "position_torque" and friction > 0.0
@@ -156,20 +156,13 @@ def _of_legs(scene: Scene) -> Iterator[str]:
         )
 
 
-def _resting_forces(scene: Scene) -> Array:
-    """Return what the legs carry the platform's true weight with at home, (6,) [N], or [N m] of cranks."""
-    share = 1.0 - np.array(scene.settings["uncertainty.gravity"])
-    weight = share * scene.settings.plant_body.weight(scene.home.quaternion)
-    return np.asarray(scene.hexapod.leg_forces(scene.home.position, scene.home.quaternion, weight))
-
-
 def _of_drives(scene: Scene) -> Iterator[str]:
     """Find rounding and friction that leave the drives of a sampled scenario nothing to act with."""
     scenario, units = scene.scenario, scene.units
     if scenario.simulation.mode != SAMPLED_MODE:
         return
     actuators, motor, stroke = scenario.actuators, scenario.actuators.motor, scenario.robot.stroke
-    largest = float(np.abs(_resting_forces(scene)).max())
+    largest = float(np.abs(scene.resting_forces(scene.home)).max())
     if actuators.kind == "force" and 0.0 < largest < 0.5 * actuators.quantisation:
         yield (
             f"actuators.quantisation: {quantity(actuators.quantisation, units.effort)} rounds to 0 what the legs carry "

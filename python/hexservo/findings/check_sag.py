@@ -51,11 +51,9 @@ def sag_of(scene: Scene) -> Sag | None:
     if goals is None or not goals.reachable:
         return None
     view = goals.best.view
-    share = 1.0 - np.array(scene.settings["uncertainty.gravity"])
-    weight = share * scene.settings.plant_body.weight(view.pose.quaternion)
-    forces = np.asarray(scene.hexapod.leg_forces(view.pose.position, view.pose.quaternion, weight))
+    forces = scene.resting_forces(view.pose)
     held = np.sign(forces) * np.maximum(np.abs(forces) - motor.friction, 0.0)
-    map_ = np.asarray(scene.hexapod.wrench_map(view.pose.position, view.pose.quaternion))
+    map_ = scene.wrench_maps(view.pose)
     stiffness = motor.kp * (1.0 + gains.feedback)
     shift, certain = (np.linalg.solve(map_.T, each / stiffness) for each in (forces, held))
     pixels = [float(np.abs(view.jacobian @ each).max()) for each in (shift, certain)]

@@ -167,9 +167,10 @@ def _of_swing(scene: Scene, gains: Tracking) -> Iterator[str]:
     least = whole.behind()
     pieces = swing_of(scene, gains, counted=False)
     in_pieces = pieces.counts < _WHOLE * gains.certainty
-    if (pieces.in_pieces() if in_pieces else least) <= band:
+    left_now = pieces.in_pieces() if in_pieces else least
+    if left_now <= band:
         return
-    helps = in_pieces and least < _HELPS * min(pieces.in_pieces(), pieces.behind(0.0))
+    helps = in_pieces and least < _HELPS * min(left_now, pieces.behind(0.0))
     still = whole.of_target
     swings = f"target.motion moves the features by up to {number(still, 2)} px at {number(motion.frequency)} Hz"
     left = f"about {number(least, 2)} px of that are left, beside noise"

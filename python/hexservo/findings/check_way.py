@@ -7,17 +7,17 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import lambertw
 
+from hexservo import _core
 from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene
-from hexservo.scenario.arrays import Array
 from hexservo.scenario.laws import Tracking
 from hexservo.scenario.motion import moves
 from hexservo.scenario.wording import number, quantity
 
 _PARTS = 200  # of the way, in which it is looked at
-_STEPS = 6  # of Newton's method for the pose of leg lengths, from the part before
 _SURE = 0.95  # of a time, below which noise does not end it
 _LONGER = 1.25  # times what limits and law take one after the other, for a run that has time for both
 
@@ -92,25 +92,19 @@ def way_of(scene: Scene) -> Way | None:
     shares = np.arange(1, _PARTS + 1) / _PARTS
     straight = scene.residual(scene.home.moved(start + shares[:, None] * (goal - start)))
     farthest = float(np.abs(legs).max())
-    pose, travel = start, 0.0
+    pose, travel = scene.start, 0.0
     for share in shares:
-        pose = _pose_of(scene, ends[0] + np.clip(legs, -share * farthest, share * farthest), pose)
-        if scene.residual(scene.home.moved(pose[None]))[0] <= scene.band:
+        lengths = scene.hexapod.mid_lengths + ends[0] + np.clip(legs, -share * farthest, share * farthest)
+        found = scene.hexapod.forward_kinematics(lengths, pose.position, pose.quaternion)
+        if found.status != _core.KinematicsStatus.converged:
+            return None
+        pose = Poses(found.position, found.quaternion)
+        if scene.residual(Poses(pose.position[None], pose.quaternion[None]))[0] <= scene.band:
             break
         travel = float(share * farthest)
     within = np.flatnonzero(straight <= scene.band)
     left = 1.0 - float(within[0]) / _PARTS if len(within) else 0.0  # in the part before
     return Way(travel, left, int(np.abs(legs).argmax()) + 1)
-
-
-def _pose_of(scene: Scene, travel: Array, near: Array) -> Array:
-    """Return the displacement (6,) from home with a leg travel (6,), near another one."""
-    pose, small = near.copy(), 1e-7 * np.eye(6)
-    for _ in range(_STEPS):
-        found = scene.leg_travel(scene.home.moved(np.concatenate([pose[None], pose + small])))
-        slope = (found[1:] - found[0]).T / 1e-7
-        pose = pose + np.linalg.solve(slope, travel - found[0])
-    return pose
 
 
 def least_times(scene: Scene, way: Way) -> dict[str, float]:
@@ -128,9 +122,6 @@ def least_times(scene: Scene, way: Way) -> dict[str, float]:
         if response.acceleration_limit is not None:
             times["actuators.position.acceleration_limit"] = math.sqrt(2.0 * way.travel / response.acceleration_limit)
     if isinstance(gains, Tracking) and way.share > 0.0:
-        low, high = 0.0, 100.0
-        for _ in range(60):
-            middle = (low + high) / 2.0
-            low, high = (middle, high) if (1.0 + middle) * math.exp(-middle) > way.share else (low, middle)
-        times["controller.tracking.bandwidth"] = low / (2.0 * math.pi * gains.bandwidth)
+        angle = -1.0 - float(lambertw(-way.share / math.e, -1).real)
+        times["controller.tracking.bandwidth"] = angle / (2.0 * math.pi * gains.bandwidth)
     return times

@@ -283,6 +283,15 @@ class Scene:
         """Return H at poses, (..., 6, 6): leg forces to the wrench in B."""
         return _at_each(self.hexapod.wrench_map, poses, 6, 6)
 
+    def true_weight(self, pose: Poses) -> Array:
+        """Return the wrench (6,) in B [N; N m] that holds the platform as it is against its weight, at one pose."""
+        share = 1.0 - np.array(self.settings["uncertainty.gravity"])
+        return np.asarray(share * self.settings.plant_body.weight(pose.quaternion))
+
+    def resting_forces(self, pose: Poses) -> Array:
+        """Return what the legs carry that weight with at one pose, (6,) [N], or [N m] of cranks."""
+        return np.asarray(self.hexapod.leg_forces(pose.position, pose.quaternion, self.true_weight(pose)))
+
     def leg_rates(self, pose: Poses, twist: Array) -> Array:
         """Return the rates of the legs (6,) [m/s] at one pose, for a twist (6,) in B; of rotary legs [rad/s]."""
         return np.asarray(self.hexapod.wrench_map(pose.position, pose.quaternion)).T @ twist

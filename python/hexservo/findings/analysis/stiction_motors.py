@@ -39,9 +39,7 @@ def held_legs(scene: Scene, goal: View) -> HeldLegs:
     scenario = scene.scenario
     motor = scenario.actuators.motor
     maps = scene.wrench_maps(goal.pose)
-    carried = np.asarray(scene.settings.plant_body.weight(goal.pose.quaternion))
-    weight = (1.0 - np.asarray(scene.settings["uncertainty.gravity"])) * carried
-    sag: Array = np.asarray(np.linalg.solve(maps, weight) / motor.kp, dtype=float)
+    sag = scene.resting_forces(goal.pose) / motor.kp
     seen = scene.jacobian(goal.features, goal.depth * (1.0 + np.asarray(scenario.uncertainty.depth)), goal.pose)
     by_leg = seen @ np.linalg.inv(maps.T)  # (2p, 6) [px/m; px/rad]
     held = motor.friction / motor.kp

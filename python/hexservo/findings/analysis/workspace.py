@@ -255,13 +255,8 @@ def _place(scene: Scene, name: str, pose: Poses) -> WorkspacePose:
         singularity=float(np.min(legs.singular_values(*at))),
         lever_arm=float(scene.lever_arms(pose).min()),
         forces=_forces(scene, pose, np.array(scene.body.weight(pose.quaternion))),
-        actual_forces=_forces(scene, pose, _actual_weight(scene, pose)),
+        actual_forces=_forces(scene, pose, scene.true_weight(pose)),
     )
-
-
-def _actual_weight(scene: Scene, pose: Poses) -> Array:
-    share = 1.0 - scene.settings["uncertainty.gravity"]
-    return np.asarray(share * scene.settings.plant_body.weight(pose.quaternion))
 
 
 def _forces(scene: Scene, pose: Poses, wrench: Array) -> Array:
@@ -303,7 +298,7 @@ def _way(scene: Scene, goal: Poses | None) -> tuple[Array, Mask, float]:
     way = scene.start.moved(np.linspace(0.0, 1.0, WAY)[:, None] * displacement)
     within = scene.reachable(way)
     held = (way[row] for row in np.flatnonzero(within))
-    forces = [float(np.abs(_forces(scene, at, _actual_weight(scene, at))).max()) for at in held]
+    forces = [float(np.abs(_forces(scene, at, scene.true_weight(at))).max()) for at in held]
     # A pose at the border of reach that is singular has no force: it is left out, and `within` ends there.
     return scene.limits_left(way), within, max((force for force in forces if np.isfinite(force)), default=0.0)
 

@@ -17,7 +17,7 @@ from hexservo.findings.diagnosis.model import Case
 from hexservo.run.leg_limits import LimitUse, limits_of_motion
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.leg_units import leg_units, stroke_length
-from hexservo.scenario.parameters import core_parameters, frame_period
+from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.pixels import desired_features, points_outside
 from hexservo.scenario.wording import number, quantity
 
@@ -81,9 +81,9 @@ def _lost_features(case: Case, record: Record, judgement: Judgement) -> Signatur
 
 
 def _gravity(case: Case, record: Record, judgement: Judgement) -> Signature:
-    model, attitude = core_parameters(case.scenario), scene_of(case.scenario).start.quaternion
-    fed = np.array(model.body.weight(attitude))  # what holds the platform points up
-    acting = (1.0 - np.broadcast_to(case.scenario.uncertainty.gravity, 6)) * model.plant_body.weight(attitude)
+    scene = scene_of(case.scenario)
+    fed = np.array(scene.body.weight(scene.start.quaternion))  # what holds the platform points up
+    acting = scene.true_weight(scene.start)
     largest = float(np.abs(fed[:3]).max())
     if largest == 0.0:
         return Signature(0.0, "There is no gravity.")
