@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import lambertw
 
 from hexservo import _core
 from hexservo.findings.analysis.goal import find_goals
@@ -122,6 +121,9 @@ def least_times(scene: Scene, way: Way) -> dict[str, float]:
         if response.acceleration_limit is not None:
             times["actuators.position.acceleration_limit"] = math.sqrt(2.0 * way.travel / response.acceleration_limit)
     if isinstance(gains, Tracking) and way.share > 0.0:
-        angle = -1.0 - float(lambertw(-way.share / math.e, -1).real)
-        times["controller.tracking.bandwidth"] = angle / (2.0 * math.pi * gains.bandwidth)
+        low, high = 0.0, 100.0  # by halves: a run's check does not wait for SciPy's Lambert W
+        for _ in range(60):
+            middle = (low + high) / 2.0
+            low, high = (middle, high) if (1.0 + middle) * math.exp(-middle) > way.share else (low, middle)
+        times["controller.tracking.bandwidth"] = low / (2.0 * math.pi * gains.bandwidth)
     return times
