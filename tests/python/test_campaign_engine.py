@@ -124,7 +124,7 @@ def test_runs_without_a_value_are_counted_with_the_reason(tmp_path: Path) -> Non
     missing = {name: int(table[name].isna().sum()) for name in ("rms_error", "settling_time")}
     assert (table.outcome == "completed").all()
     assert result.summary["without_value"] == missing
-    assert result.section().sentences[-2:] == [
+    assert [one for one in result.section().sentences if "without a value" in one] == [
         f"{missing['rms_error']} of 20 runs complete without a value of rms_error, since they end before "
         "metrics.rms_start; that counts as a failure.",
         f"{missing['settling_time']} of 20 runs complete without a value of settling_time, since they are not within "

@@ -27,6 +27,8 @@ _BLANK = b"0" * 64  # in place of the digest, while it is computed
 _SEALED = re.compile(re.escape(_SEAL) + rb".{1,4}?(?P<digest>[0-9a-f]{64})", re.DOTALL)
 _FOOTER = 1 << 20  # longer than the end of a file, which holds the seal
 _WORST = 10  # runs of the smallest margins that a tally keeps
+_NO_SPAN = (np.inf, -np.inf)  # smallest and largest value of no runs
+_LARGEST = 1e100  # size of a value in a span: JSON has no infinity
 
 
 # ---- Runs as a table ------------------------------------------------------------------------------------------------
@@ -74,6 +76,11 @@ class Tally:
     valueless: Counter[str] = field(default_factory=Counter)  # completed runs, by required metric that has no value
     outcomes: Counter[str] = field(default_factory=Counter)
     worst: list[tuple[float, float, int]] = field(default_factory=list)  # `ranks_of` and index, the worst first
+    spans: list[tuple[float, float]] = field(default_factory=list)  # by requirement: `_span_of` its metric
+
+    def __post_init__(self) -> None:
+        """Begin with the spans of no runs."""
+        self.spans = self.spans or [_NO_SPAN] * len(self.failed)
 
     def add(self, other: Tally) -> None:
         """Add the counts of other runs."""
@@ -84,6 +91,8 @@ class Tally:
         self.valueless.update(other.valueless)
         self.outcomes.update(other.outcomes)
         self.worst = sorted(self.worst + other.worst)[:_WORST]
+        pairs = zip(self.spans, other.spans, strict=True)
+        self.spans = [(min(one[0], more[0]), max(one[1], more[1])) for one, more in pairs]
 
 
 def tally_of(table: pa.Table, requirements: Sequence[Requirement], duration: float) -> Tally:
@@ -107,7 +116,14 @@ def tally_of(table: pa.Table, requirements: Sequence[Requirement], duration: flo
         valueless=Counter(valueless),
         outcomes=Counter(outcome.tolist()),
         worst=[(float(ranks[place, 0]), float(ranks[place, 1]), int(columns["index"][place])) for place in worst],
+        spans=[_NO_SPAN if one.name == "outcome" else _span_of(metrics[one.name][completed]) for one in requirements],
     )
+
+
+def _span_of(values: Array) -> tuple[float, float]:
+    """Return the smallest and the largest value of a metric in runs that completed, (n,), without those of none."""
+    found = np.clip(values[~np.isnan(values)], -_LARGEST, _LARGEST)
+    return (float(found.min()), float(found.max())) if len(found) else _NO_SPAN
 
 
 def _column(table: pa.Table, name: str) -> Array | NDArray[Any]:

@@ -12,9 +12,11 @@ from typing import TYPE_CHECKING, Any
 from hexservo.campaigns.chunks import Tally, tally_of
 from hexservo.campaigns.intervals import clopper_pearson, joint_confidence
 from hexservo.campaigns.plan import MOST_LOG_EVERY, CampaignPlan
+from hexservo.campaigns.requirements import Requirement
 from hexservo.campaigns.store import Store, UnreadableError, read_plan
 from hexservo.campaigns.words import summary_section
 from hexservo.findings.display import Findings
+from hexservo.run.metrics import metric_unit
 from hexservo.run.publish import named
 from hexservo.run.sealed import ResultError
 from hexservo.scenario.arrays import Array
@@ -290,14 +292,24 @@ def summary_of(plan: CampaignPlan, record: dict[str, Any], tally: Tally) -> dict
                 "holds": str(requirement),
                 "failures": failed,
                 "interval": list(plan.interval(failed, tally.runs)),
+                **_values(plan, requirement, span),
             }
-            for requirement, failed in zip(plan.require, tally.failed, strict=True)
+            for requirement, failed, span in zip(plan.require, tally.failed, tally.spans, strict=True)
         ],
         "settled_at_start": tally.unmoved if plan.needs_motion else None,
         "without_value": {name: count for name, count in sorted(tally.valueless.items()) if count},
         "outcomes": dict(sorted(tally.outcomes.items())),
         "worst": [{"index": index, "margin": margin} for margin, _, index in tally.worst],
     }
+
+
+def _values(plan: CampaignPlan, requirement: Requirement, span: tuple[float, float]) -> dict[str, Any]:
+    """Return the bound of a metric, and the ends of its values in the runs that completed, null where none has any."""
+    if requirement.name == "outcome":
+        return {}
+    smallest, largest = span if span[0] <= span[1] else (None, None)
+    unit = metric_unit(requirement.name, plan.scenario.robot)
+    return {"bound": requirement.bound, "unit": unit, "smallest": smallest, "largest": largest}
 
 
 def is_complete(plan: CampaignPlan, tally: Tally) -> bool:

@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from hexservo.findings.evidence import Cell, Column, Section, Table, Verdict
-from hexservo.run.metrics import OF_LIMITS
+from hexservo.run.metrics import OF_LIMITS, is_rounding, shown_number
 from hexservo.scenario.wording import above, below, number
 
 _PAGE = "docs/campaigns.md"
-_OF_EACH = ("failures", "from", "to")
+_OF_EACH = ("failures", "from", "to", "worst value", "worst/bound")
+_FAR = 100.0  # factor between a bound and all values: a unit with a prefix is one of 1000, degrees for rad are 57
 _OFTEN = 0.5  # failure probability above which a campaign without a goal for it is bad,
 _SELDOM = 0.1  # and below which it may be good
 _MOST = 0.5  # share of runs that settle without a motion, above which a campaign is not good
@@ -24,7 +25,7 @@ _REASONS = {  # why a completed run has no value of a metric (docs/model.md, sec
 def summary_section(summary: dict[str, Any]) -> Section:
     """Return a summary with its tables: requirements, outcomes and the worst runs."""
     requirements: list[list[Cell]] = [
-        [one["holds"], one["failures"], *_ends(one["interval"])] for one in summary["requirements"]
+        [one["holds"], one["failures"], *_ends(one["interval"]), *_worst_value(one)] for one in summary["requirements"]
     ]
     tables = [
         Table(
@@ -32,7 +33,7 @@ def summary_section(summary: dict[str, Any]) -> Section:
             (Column("holds"), *map(Column, _OF_EACH)),
             requirements,
             f"Each interval has the confidence of {summary['confidence']}; all of them together have "
-            f"{summary['joint_confidence']}.",
+            f"{summary['joint_confidence']}. Worst values are those of runs that complete.",
             _PAGE,
         )
     ]
@@ -63,6 +64,41 @@ def _ends(interval: tuple[float, float]) -> tuple[str, str]:
     return below(interval[0]), above(interval[1])
 
 
+def _worst_value(requirement: dict[str, Any]) -> tuple[Cell, Cell]:
+    """Return the value of a metric that is the worst for its requirement, and what part of the bound it is."""
+    value = requirement.get("largest" if "<" in requirement["holds"] else "smallest")  # no key: of an earlier version
+    if value is None:
+        return "-", "-"
+    unit, bound = requirement["unit"], requirement["bound"]
+    return f"{shown_number(value, unit)}{_with_space(unit)}", number(value / bound) if bound else "-"
+
+
+def _with_space(unit: str) -> str:
+    return "" if unit == "1" else f" {unit}"
+
+
+def _far_bound(requirement: dict[str, Any]) -> str | None:
+    """Return that all values of a metric are far from its bound, as where that has another unit; None for others.
+
+    A value of 0, or what rounding leaves of it, is so in any unit.
+    """
+    if not requirement.get("bound") or requirement["largest"] is None:
+        return None
+    bound, unit = requirement["bound"], requirement["unit"]
+    for end, is_far in (
+        ("largest", requirement["largest"] * _FAR < bound),
+        ("smallest", requirement["smallest"] > _FAR * bound),
+    ):
+        value = requirement[end]
+        if is_far and value and not is_rounding(value, unit):
+            has = "no unit" if unit == "1" else f"the unit {unit}"
+            return (
+                f"No run is near {requirement['holds']}: the {end} value is {shown_number(value, unit)}"
+                f"{_with_space(unit)}, {number(value / bound)} times the bound. Check the bound, which has {has}."
+            )
+    return None
+
+
 def verdict_sentences(summary: dict[str, Any]) -> list[str]:
     """Return the verdict: how many runs fail, and the intervals of the failure probability."""
     low, high = summary["interval"]
@@ -85,6 +121,7 @@ def verdict_sentences(summary: dict[str, Any]) -> list[str]:
             f"Pearson is {below(low)} to {above(high)}."
         )
     sentences += [_valueless(name, count, runs) for name, count in summary["without_value"].items()]
+    sentences += filter(None, map(_far_bound, summary["requirements"]))
     if not summary["complete"]:
         planned = summary["planned_runs"]
         of = "" if planned is None else f" of {planned} runs"

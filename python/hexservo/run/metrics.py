@@ -166,10 +166,14 @@ def shown_number(value: float, unit: str, scale: float = 1.0, digits: int = 4) -
     digits
         Of the number.
     """
-    floor = _FLOORS.get(unit, 0.0)
-    if 0.0 < value < floor:
-        return f"<{floor * scale:g}".replace("e-0", "e-")
+    if is_rounding(value, unit):
+        return f"<{_FLOORS[unit] * scale:g}".replace("e-0", "e-")
     return number(value * scale, digits)
+
+
+def is_rounding(value: float, unit: str) -> bool:
+    """Return whether a value above 0, in the unit of its metric, is what rounding leaves of zero."""
+    return 0.0 < value < _FLOORS.get(unit, 0.0)
 
 
 def readable_unit(unit: str, largest: float, digits: int = 4) -> tuple[str, float]:
