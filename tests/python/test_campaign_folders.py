@@ -34,11 +34,22 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     ("change", "differs"),
     [
-        ({"stream": 1}, "stream"),
-        ({"require": ["final_error <= 3"]}, "require"),
-        ({"confidence": 0.9}, "confidence"),
-        ({"chunk_size": 50}, "chunk_size"),
-        ({"vary": {"seed": "each"}}, "vary"),
+        ({"stream": 1}, r"stream \(0 there, 1 now\);"),
+        ({"require": ["final_error <= 3"]}, r'require \(\[.*\.\.\. there, \["final_error <= 3.0"\] now\);'),
+        ({"confidence": 0.9}, r"confidence \(0.95 there, 0.9 now\);"),
+        ({"chunk_size": 50}, r"chunk_size \(100 there, 50 now\);"),
+        (
+            {"vary": {"seed": "each"}},
+            r"vary: uncertainty.gravity.normal \(\[0.0, 0.1\] there, none now\), .* and \d more;",
+        ),
+        (
+            {"vary": FILE["vary"] | {"uncertainty.gravity": {"normal": [0.0, 0.2], "clip": [-0.9, 0.9]}}},
+            r"vary: uncertainty.gravity.normal \(\[0.0, 0.1\] there, \[0.0, 0.2\] now\);",
+        ),
+        (
+            {"scenario": FILE["scenario"].updated({"metrics.band": 3.0})},
+            r"scenario: metrics.band \(2.0 there, 3.0 now\);",
+        ),
         ({"vary": dict(reversed(FILE["vary"].items()))}, "the order of the keys of vary;"),
         (
             {"scenario": FILE["scenario"].updated({"target.motion.amplitude": [-0.0] * 3})},
@@ -97,7 +108,7 @@ def test_a_folder_of_a_different_version_or_variant_is_refused(
     plan, record = read_plan(whole)
     other = next(name for name in ("baseline", "avx2") if name != record["variant"])
     for changed, error, message in (
-        ("VERSION", OutputError, "differs in hexservo 9"),
+        ("VERSION", OutputError, rf"differs in hexservo \(\"9\" there, \"{re.escape(hs.__version__)}\" now\);"),
         ("variant", hs.VariantError, f"expected {other}, that of the campaign, got {record['variant']}"),
     ):
         with monkeypatch.context() as patch:

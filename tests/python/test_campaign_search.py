@@ -135,13 +135,16 @@ def test_damage_is_found_and_computed_again(uninterrupted: Path, tmp_path: Path)
 
 
 def test_a_folder_of_another_search_is_refused(uninterrupted: Path) -> None:
-    for options, name in (({"seed": 4}, "seed 3"), ({"generations": 5}, "generations 4")):
+    for options, name in (
+        ({"seed": 4}, r"seed \(3 there, 4 now\)"),
+        ({"generations": 5}, r"generations \(4 there, 5 now\)"),
+    ):
         with pytest.raises(
             OutputError, match=f"expected a folder of this search, got one that differs in {name}; name"
         ):
             hs.tune(SHORT, uninterrupted, **(OPTIONS | options))
     file = SHORT | {"tune": SHORT["tune"] | {"over": 5}}
-    with pytest.raises(OutputError, match="got one that differs in tune; name"):
+    with pytest.raises(OutputError, match=r"got one that differs in tune: over \(4 there, 5 now\); name"):
         hs.tune(file, uninterrupted, **OPTIONS)
     more = hs.tune(SHORT | {"runs": 30}, uninterrupted, **OPTIONS)  # more held-out runs are no other search
     assert more.held_out is not None
@@ -164,12 +167,87 @@ def test_a_search_of_a_different_format_is_refused(tmp_path: Path) -> None:
 def test_hidden_files_of_a_user_are_other_files(tmp_path: Path) -> None:
     steps = SearchSteps(tmp_path, load_plan(SHORT), 0, 1, pytest.fail)
     (tmp_path / ".git").mkdir()
-    with pytest.raises(OutputError, match="expected a new folder or that of a search, got one with other files"):
+    with pytest.raises(
+        OutputError, match=r'expected a new folder or that of a search, got one with other files: "\.git"; name'
+    ):
         steps.opened().__enter__()
     (tmp_path / ".git").rmdir()
     (tmp_path / ".hexservo-tune.yaml-0123456789ab.part").write_text("of a killed process", encoding="utf-8")
     with steps.opened():
         assert sorted(path.name for path in tmp_path.iterdir()) == ["steps", "tune.yaml"]
+
+
+def test_a_changed_file_of_a_search_is_refused_and_kept(uninterrupted: Path, tmp_path: Path) -> None:
+    text = (uninterrupted / "tune.yaml").read_text(encoding="utf-8")
+    for before, after in (("peak_leg_force <= 0.6", "peak_leg_force <= 0.61"), ("seed: 3", "seed: 4")):
+        assert text.count(before) == 1
+        (tmp_path / "tune.yaml").write_text(text.replace(before, after), encoding="utf-8")
+        with pytest.raises(OutputError, match="expected the file as hexservo wrote it, got one that was changed since"):
+            SearchSteps(tmp_path, load_plan(SHORT), 3, 4, pytest.fail).opened().__enter__()
+        assert (tmp_path / "tune.yaml").read_text(encoding="utf-8") == text.replace(before, after)
+    (tmp_path / "tune.yaml").write_text(f"# by Ann\n{text}", encoding="utf-8")
+    with SearchSteps(tmp_path, load_plan(SHORT), 3, 4, pytest.fail).opened():
+        pass  # a comment changes nothing
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("scenario: paper\n", "expected a search of format .*, got a file that names no format; run it again in a new"),
+        ("- 1\n", "got a file that names no format"),
+        ("record: 3\n", "got a file that names no format"),
+        (
+            f"record: {{format: {FORMAT}}}\n",
+            "expected the file of a search, got a different one: missing keys: scenario",
+        ),
+    ],
+)
+def test_a_file_of_its_name_that_is_none_of_a_search(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "tune.yaml").write_text(text, encoding="utf-8")
+    with pytest.raises(OutputError, match=message):
+        SearchSteps(tmp_path, load_plan(SHORT), 0, 1, pytest.fail).opened().__enter__()
+
+
+def test_a_file_in_the_place_of_a_folder_is_named(tmp_path: Path) -> None:
+    with SearchSteps(tmp_path, load_plan(SHORT), 0, 1, pytest.fail).opened():
+        pass
+    (tmp_path / "steps").rmdir()
+    (tmp_path / "steps").write_text("mine", encoding="utf-8")
+    with pytest.raises(OutputError, match=r'steps": expected a folder, got a file, which is kept; move it away'):
+        SearchSteps(tmp_path, load_plan(SHORT), 0, 1, pytest.fail).opened().__enter__()
+
+
+@pytest.mark.parametrize("kind", ["file", "folder", "link", "changed"])
+def test_what_is_no_held_out_campaign_is_refused_before_the_search(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    hs.tune(SHORT, tmp_path / "out", generations=1, rounds=1)
+    place = tmp_path / "out" / "held-out"
+    if kind == "changed":
+        text = (place / "campaign.yaml").read_text(encoding="utf-8")
+        (place / "campaign.yaml").write_text(text.replace("confidence: 0.95", "confidence: 0.5"), encoding="utf-8")
+    else:
+        place.rename(tmp_path / "held-out")
+    if kind == "file":
+        place.write_text("mine", encoding="utf-8")
+    elif kind == "folder":
+        place.mkdir()
+        (place / "letter.txt").write_text("Dear", encoding="utf-8")
+    elif kind == "link":
+        place.symlink_to(tmp_path / "nowhere")
+    message = {
+        "file": "expected a folder, got a file, which is kept; move it away",
+        "folder": 'expected a new folder or that of the held-out campaign, got one with other files: "letter.txt"',
+        "link": "expected a folder, got a file, which is kept",
+        "changed": "expected the file as hexservo wrote it, got one that was changed since",
+    }[kind]
+
+    def searched(*arguments: Any) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr("hexservo.campaigns.tuning._Search.run", searched)
+    with pytest.raises((OutputError, hs.ResultError), match=message):
+        hs.tune(SHORT, tmp_path / "out", generations=1, rounds=1)
 
 
 def test_what_an_earlier_search_found_is_set_aside_where_nothing_is_feasible(tmp_path: Path) -> None:

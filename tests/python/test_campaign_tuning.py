@@ -19,7 +19,7 @@ from hexservo.campaigns.judging import Judge
 from hexservo.campaigns.loop_numbers import decay_rate
 from hexservo.campaigns.plan import CampaignPlan, load_plan
 from hexservo.campaigns.requirements import margin_of, requirement_of
-from hexservo.campaigns.tune_result import Edge, Generation, _held_out_values
+from hexservo.campaigns.tune_result import Edge, Generation, HeldOut, _held_out_values
 from hexservo.campaigns.tuning import _Search, edges_of
 from hexservo.findings.evidence import Curves
 from hexservo.run.publish import OutputError
@@ -221,7 +221,9 @@ def test_the_largest_metric_of_held_out_runs_is_that_of_whole_ones(tmp_path: Pat
     whole = table[table.outcome == "completed"].peak_error
     assert 0 < len(whole) < 60
     assert whole.max() < 0.99 * table.peak_error.max()
-    assert _held_out_values(held_out, ["peak error"], ["px"], ("peak_error",)) == (
+    found = HeldOut.of(held_out, ("peak_error",))
+    assert (found.runs, found.margin) == (60, table.margin.min())
+    assert _held_out_values(found, ["peak error"], ["px"]) == (
         f"the largest peak error is {number(whole.max())} px among the {len(whole)} of 60 runs that complete"
     )
 

@@ -16,7 +16,7 @@ from hexservo.campaigns.judging import Judge
 from hexservo.campaigns.loop_numbers import LOOP_NUMBERS
 from hexservo.campaigns.plan import CampaignPlan
 from hexservo.campaigns.refused import REMEDY
-from hexservo.campaigns.requirements import margin_of, run_distances
+from hexservo.campaigns.requirements import COMPLETED, margin_of, run_distances
 from hexservo.campaigns.search_steps import SearchSteps
 from hexservo.campaigns.tune_keys import TunePlan, Variable
 from hexservo.campaigns.tune_result import LARGER
@@ -38,14 +38,22 @@ class Judged:
     """The worst of every candidate over the variations: margins (n, r), minimised metrics (n, m).
 
     `distances` (n, r) are those from the bounds, NaN where one of the runs has none; `violations` (n, r) the means of
-    `violation_of` over the variations.
+    `violation_of` over the variations, and `early` (n,) counts the runs that ended early.
     """
 
-    def __init__(self, margins: Array, values: Array, distances: Array, violations: Array) -> None:
+    def __init__(
+        self,
+        margins: Array,
+        values: Array,
+        distances: Array,
+        violations: Array,
+        early: NDArray[np.int64] | None = None,
+    ) -> None:
         self.margins = margins
         self.values = values
         self.distances = distances
         self.violations = violations
+        self.early = np.zeros(len(margins), dtype=np.int64) if early is None else early
         self.smallest: Array = margins.min(axis=1)
 
     @property
@@ -86,6 +94,11 @@ def ranking(violations: Array, values: Array) -> NDArray[np.intp]:
     violation = violations.sum(axis=1)
     violated = violation != 0.0
     return np.lexsort((np.where(violated, violation, np.nan_to_num(values, nan=np.inf)), violated))
+
+
+def largest_of(values: Array) -> Array:
+    """Return the largest value of each metric, (m,) of runs (n, m); NaN where a run has none, or without runs."""
+    return np.asarray(values.max(axis=0) if len(values) else np.full(values.shape[1], math.nan))
 
 
 class Candidates:
@@ -255,6 +268,7 @@ class Candidates:
             found.values,
             np.concatenate([found.distances, distances], axis=1),
             np.concatenate([found.violations, violation_of(margins)], axis=1),
+            found.early,
         )
 
     def _loop_values(self, gains: dict[str, Array], count: int) -> Array:
@@ -294,7 +308,7 @@ class Candidates:
         `simulating` is called before it runs, and not where it is kept.
         """
 
-        def compute() -> dict[str, Array]:
+        def compute() -> dict[str, NDArray[Any]]:
             simulating()
             return self._worst_by_candidate(*self.judge.judged(numbers, gains), shape)
 
@@ -308,12 +322,13 @@ class Candidates:
         Their margin is REFUSED, and so below zero their metrics.
         """
 
-        def compute() -> dict[str, Array]:
+        def compute() -> dict[str, NDArray[Any]]:
             kept, margins, batch = self.judge.judged_where_valid(numbers, gains)
             sizes = {"margins": len(self.plan.require), "distances": len(self.plan.require)}
             sizes |= {"values": len(self.asked.minimise), "violations": len(self.plan.require)}
             fill = {"margins": REFUSED, "distances": REFUSED, "values": -REFUSED, "violations": 0.0}
-            found = {name: np.full((count, size), fill[name]) for name, size in sizes.items()}
+            found: dict[str, NDArray[Any]] = {name: np.full((count, size), fill[name]) for name, size in sizes.items()}
+            found["early"] = np.zeros(count, dtype=np.int64)
             if batch is not None:
                 for name, values in self._worst_by_candidate(margins, batch, (len(kept), 1)).items():
                     found[name][kept] = values
@@ -325,7 +340,9 @@ class Candidates:
         self.runs += count - refused
         return Judged(**found)
 
-    def _worst_by_candidate(self, margins: Array, batch: BatchResult, shape: tuple[int, int]) -> dict[str, Array]:
+    def _worst_by_candidate(
+        self, margins: Array, batch: BatchResult, shape: tuple[int, int]
+    ) -> dict[str, NDArray[Any]]:
         """Return the worst of the runs of each candidate by the names of `Judged`, for a batch of that shape."""
         metrics = [batch.metrics[name].reshape(shape).max(axis=1) for name in self.asked.minimise]  # NaN stays NaN
         values = np.stack(metrics, axis=1) if metrics else np.empty((shape[0], 0))
@@ -333,7 +350,8 @@ class Candidates:
         worst = {"margins": margins, "distances": distances}
         found = {name: each.reshape(*shape, -1).min(axis=1) for name, each in worst.items()}
         violations = violation_of(margins).reshape(*shape, -1).mean(axis=1)
-        return found | {"values": values, "violations": violations}
+        early = (batch.outcome != COMPLETED).reshape(shape).sum(axis=1)
+        return found | {"values": values, "violations": violations, "early": early}
 
     def worse_cases(self, place: Array) -> tuple[list[dict[str, NDArray[Any]]], float]:
         """Return variations that are worse for a candidate than those of the search, and the smallest margin found.
@@ -377,11 +395,21 @@ class Candidates:
         numbers = self.drawing.numbers_at(shares, 0)
         return numbers | ({"seed": np.repeat(seeds, len(shares))} if "seed" in numbers else {})
 
-    def on_runs(self, places: Array, plan: CampaignPlan, runs: int) -> tuple[Array, Array]:
-        """Return failures of candidates, (n,), and their largest metrics, (n, m), in the first runs of another plan."""
+    def on_runs(self, places: Array, plan: CampaignPlan, runs: int) -> list[tuple[int, int, Array]]:
+        """Return of each candidate how it does in the first runs of another plan.
+
+        That is how many runs fail, how many of these end early, and the largest value of each metric in the others,
+        (m,), NaN where one of these has none, or all end early: what is reached until then is none of a whole run.
+        """
         found = [self.other_runs(place, plan, runs) for place in places]  # a candidate at a time: a step is small
-        failures = [int((each.smallest < 0).sum()) for each in found]
-        return np.array(failures), np.array([each.values.max(axis=0) for each in found])
+        return [
+            (
+                int((each.smallest < 0).sum()),
+                int(each.early.sum()),
+                largest_of(each.values[each.early == 0]),
+            )
+            for each in found
+        ]
 
     def other_runs(self, place: Array, plan: CampaignPlan, runs: int) -> Judged:
         """Return the first runs of another plan with the gains of a candidate, each run as if it were a candidate."""

@@ -14,18 +14,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hexservo.campaigns.differing import differences, of_both
 from hexservo.campaigns.plan import CampaignPlan
 from hexservo.campaigns.store import other_format
-from hexservo.campaigns.writing import locked, remove_drafts, require_empty, write_bytes, write_text
+from hexservo.campaigns.writing import locked, make_folder, remove_drafts, require_empty, write_bytes, write_text
 from hexservo.run.files import output_path
 from hexservo.run.publish import OutputError, named
 from hexservo.scenario.version import VERSION
 from hexservo.scenario.yaml import ScenarioError, dump_yaml, read_yaml
 
-FORMAT = 5
+FORMAT = 6
 """Of a search's folder: raised with every change of the order in which a search simulates, or of what a step keeps."""
 
 PLAN = "tune.yaml"
+_SEARCH = "search"  # key of the record: the SHA-256 of all that determines the steps
+_FREE = ("runs", "until", "chunk_size", "confidence", "rare", "metrics", "variant")  # keys that may change
 _DIGEST = 32  # bytes of SHA-256: of the rest of a file, then of the inputs
 
 
@@ -48,17 +51,14 @@ class SearchSteps:
         self.plan = plan
         self.warn = warn
         self.count = 0  # steps that were asked for
-        assert plan.tune is not None
-        self.record = {
+        self.record: dict[str, Any] = {
             "format": FORMAT,
             "hexservo": VERSION,
             "variant": plan.required_variant(),
             "seed": seed,
             "generations": generations,
         }
-        requirements = [requirement.to_plain() for requirement in plan.require]
-        text = json.dumps([plan.digest(), requirements, plan.tune.to_plain(), self.record])
-        self.record["search"] = hashlib.sha256(text.encode()).hexdigest()
+        self.record[_SEARCH] = _digest_of(plan, self.record)
 
     @contextlib.contextmanager
     def opened(self) -> Iterator[None]:
@@ -76,8 +76,7 @@ class SearchSteps:
             else:
                 require_empty(self.folder, "a search")
             write_text(path, dump_yaml({**self.plan.to_mapping(), "record": self.record}))
-            with contextlib.suppress(FileExistsError):
-                (self.folder / "steps").mkdir()
+            make_folder(self.folder / "steps")
             for folder in (self.folder, self.folder / "steps"):
                 remove_drafts(folder)
             yield
@@ -86,20 +85,27 @@ class SearchSteps:
         """Check that the folder's search is this one."""
         try:
             document = read_yaml(path)
-            record: dict[str, Any] = document["record"]  # type: ignore[index,call-overload,assignment]
-            if record["format"] != FORMAT:
+            record = document.get("record") if isinstance(document, dict) else None
+            if not isinstance(record, dict) or record.get("format") != FORMAT:
                 raise OutputError(other_format(path, "a search", FORMAT, record))
             there = CampaignPlan(**document)  # type: ignore[arg-type]
-        except (ScenarioError, KeyError, TypeError) as error:
+        except ScenarioError as error:
             raise OutputError(
-                f"{named(path)}: expected the file of a search, got a different one: {error}; name a new folder"
+                f"{named(path)}: expected the file of a search, got a different one: {error.problems[0]}; name a new "
+                "folder"
             ) from None
-        if record.get("search") == self.record["search"]:
+        of_record = {key: record.get(key) for key in self.record if key != _SEARCH}
+        if record.get(_SEARCH) != _digest_of(there, of_record) and of_record["hexservo"] == VERSION:
+            raise OutputError(
+                f"{named(path)}: expected the file as hexservo wrote it, got one that was changed since; undo the "
+                "change, or search with a changed campaign file in a new folder"
+            )
+        if record.get(_SEARCH) == self.record[_SEARCH]:
             return
-        ours, theirs = self.plan.to_mapping(), there.to_mapping()
-        free = ("runs", "until", "chunk_size", "confidence", "rare")
-        differing = [f"{key} {record.get(key)}" for key in self.record if record.get(key) != self.record[key]][:-1]
-        differing += [key for key in ours if key not in free and ours[key] != theirs[key]]
+        differing = [
+            of_both(key, value, self.record[key]) for key, value in of_record.items() if value != self.record[key]
+        ]
+        differing += differences(self.plan, there, _FREE)
         raise OutputError(
             f"{named(self.folder)}: expected a folder of this search, got one that differs in "
             f"{', '.join(differing) or 'the keys that scenarios had then'}; name a new folder"
@@ -142,6 +148,13 @@ class SearchSteps:
         content = file.getvalue()
         write_bytes(path, hashlib.sha256(place + content).digest() + place + content)
         return results
+
+
+def _digest_of(plan: CampaignPlan, record: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of all that determines the steps of a search."""
+    requirements = [requirement.to_plain() for requirement in plan.require]
+    tune = None if plan.tune is None else plan.tune.to_plain()
+    return hashlib.sha256(json.dumps([plan.digest(), requirements, tune, record]).encode()).hexdigest()
 
 
 def _read(path: Path) -> bytes | None:

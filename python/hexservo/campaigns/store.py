@@ -13,10 +13,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hexservo.campaigns.chunks import unsealed_chunk
+from hexservo.campaigns.differing import differences, of_both
 from hexservo.campaigns.plan import CampaignPlan
 from hexservo.campaigns.writing import (
     free_place,
     locked,
+    make_folder,
     refusing,
     remove_drafts,
     require_empty,
@@ -153,7 +155,7 @@ class Store:
         written = plan_text(self.plan, self.record)
         if not plan.exists() or plan.read_text(encoding="utf-8") != written:
             write_bytes(plan, written.encode())
-        (self.folder / "chunks").mkdir(exist_ok=True)
+        make_folder(self.folder / "chunks")
         for folder in (self.folder, self.folder / "chunks"):
             remove_drafts(folder)
 
@@ -161,24 +163,18 @@ class Store:
         """Check that the folder's campaign is this one, and keep its record."""
         there, record = read_plan(self.folder)
         self.plan.changed(variant=record["variant"]).required_variant()
-        differing = [] if record["hexservo"] == VERSION else ["hexservo"]
-        ours, theirs = (plan.to_mapping() | plan.drawn_from() for plan in (self.plan, there))
-        differing += [
-            _difference(key, ours[key], theirs[key])
-            for key in ours
-            if key not in _MAY_CHANGE and _text(ours[key]) != _text(theirs[key])
-        ]
+        differing = [] if record["hexservo"] == VERSION else [of_both("hexservo", record["hexservo"], VERSION)]
+        differing += differences(self.plan, there, _MAY_CHANGE)
         if differing:
-            got = ", ".join(f"{key} {record[key]}" if key in record else key for key in differing)
             raise OutputError(
-                f"{named(self.folder)}: expected a folder of this campaign, got one that differs in {got}; "
-                "name a new folder"
+                f"{named(self.folder)}: expected a folder of this campaign, got one that differs in "
+                f"{', '.join(differing)}; name a new folder"
             )
         if self.plan.runs is not None and there.runs is not None and self.plan.runs < there.runs:
             raise OutputError(
                 f"{named(self.folder)}: expected at least {there.runs} runs, got {self.plan.runs}; name a new folder"
             )
-        if (ours["runs"], ours["until"]) != (theirs["runs"], theirs["until"]):
+        if (self.plan.runs, self.plan.until) != (there.runs, there.until):
             self.record["fixed_runs"] = None  # their number was changed after a look at the results
         else:
             self.record["fixed_runs"] = record["fixed_runs"]
@@ -262,17 +258,6 @@ def new_record(plan: CampaignPlan) -> dict[str, Any]:
         "campaign": _campaign_digest(plan, VERSION, variant),
         "fixed_runs": plan.runs if plan.until is None else None,
     }
-
-
-def _text(value: Any) -> str:
-    return json.dumps(value, sort_keys=True)
-
-
-def _difference(key: str, ours: Any, theirs: Any) -> str:
-    """Return what differs in two values of a key of a campaign, of `vary` as lists."""
-    if key == "vary" and sorted(map(_text, ours)) == sorted(map(_text, theirs)):
-        return "the order of the keys of vary"
-    return f"the sign of a zero in {key}" if ours == theirs else key
 
 
 def _campaign_digest(plan: CampaignPlan, version: Any, variant: Any) -> str:

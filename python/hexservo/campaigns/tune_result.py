@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -76,9 +77,35 @@ class FrontPoint:
 
     gains: Mapping[str, Any]  # by dotted key
     values: tuple[float, ...]  # largest ones over the variations of the search, in the metrics' units
-    held_out: tuple[float, ...]  # the same over variations that it never used; NaN where a run has none
-    failures: int  # of these
-    runs: int  # that these are
+    held_out: tuple[float, ...]  # the same in runs that it never used and that complete; NaN where one has none
+    failures: int  # of these runs
+    ended_early: int  # of the failures: their metrics are none of whole runs, and do not count
+    runs: int  # that it never used
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """What the runs of a held-out campaign give of the minimised metrics."""
+
+    runs: int
+    completed: int
+    largest: tuple[float, ...]  # of each metric in runs that complete; NaN where one has none, or none completes
+    margin: float  # smallest one of all runs
+
+    @staticmethod
+    def of(result: CampaignResult, metrics: tuple[str, ...]) -> HeldOut:
+        """Read the runs of a campaign, chunk by chunk."""
+        completed, margin = 0, math.inf
+        largest = np.full(len(metrics), -math.inf)
+        for table in result.tables([*metrics, "outcome", "margin"]):
+            whole = np.array(table.column("outcome").to_pylist()) == COMPLETED
+            completed += int(whole.sum())
+            margin = min(margin, float(table.column("margin").to_numpy().min()))
+            if whole.any():
+                values = [table.column(name).to_numpy()[whole].max() for name in metrics]  # NaN stays NaN
+                largest = np.maximum(largest, values)
+        found = tuple(map(float, largest)) if completed else (math.nan,) * len(metrics)
+        return HeldOut(len(result), completed, found, margin)
 
 
 @described
@@ -201,10 +228,10 @@ class TuneResult(Findings):
                 sentences.append(f"{self.advice} No candidate was found with which {wanted}.")
             else:
                 sentences.append(f"No gains were found with which {wanted}. {self.advice}")
-        if self.held_out is not None:
+        if self.held_out is not None and self._held_out_runs is not None:
             sentences.append(
                 "That is biased, since the search chose by it. In variations that it never used "
-                f"{_held_out_values(self.held_out, names, units, self.minimise)}, "
+                f"{_held_out_values(self._held_out_runs, names, units)}, "
                 f"and {self.held_out.section().sentences[0]}"
             )
             if self.held_out.summary.get("settled_at_start"):
@@ -237,20 +264,23 @@ class TuneResult(Findings):
 
     def _larger_held_out(self) -> str:
         """Return by what held-out runs are worse than all of the search; empty where none is."""
-        if self.held_out is None:
+        if self._held_out_runs is None:
             return ""
-        table = self.held_out.to_arrow([*self.minimise, "margin"])
-        largest = [float(table.column(place).to_numpy().max()) for place in range(len(self.minimise))]
         found = [
             f"a {name.replace('_', ' ')} of {_shown(held_out, metric_unit(name, self.scenario.robot))}"
-            for name, held_out, own in zip(self.minimise, largest, self.worst, strict=True)
+            for name, held_out, own in zip(self.minimise, self._held_out_runs.largest, self.worst, strict=True)
             if held_out > LARGER * own
         ]
-        smallest = float(table.column("margin").to_numpy().min())
+        smallest = self._held_out_runs.margin
         least = min(self.margin, self.worst_margin)
         if smallest < least and (smallest < 0 or not self.minimise):
             found.append(f"a margin of {number(smallest)}")
         return " and ".join(found)
+
+    @cached_property
+    def _held_out_runs(self) -> HeldOut | None:
+        """What the held-out runs give, read once; None without these."""
+        return None if self.held_out is None else HeldOut.of(self.held_out, self.minimise)
 
     @property
     def _exclusion(self) -> str:
@@ -282,7 +312,7 @@ class TuneResult(Findings):
             "relaxations": {str(one.requirement): one.bound for one in self.relaxations},
             "relaxed_gains": {str(one.requirement): dict(one.gains) for one in self.relaxations},
             "relaxed_failures": {str(one.requirement): [one.failures, one.runs] for one in self.relaxations},
-            "front": [[*point.values, *point.held_out, point.failures] for point in self.front],
+            "front": [[*point.values, *point.held_out, point.failures, point.ended_early] for point in self.front],
             **picked(self, "settled worst_margin end_margins variations joined runs refused seed"),
             "history": [
                 [each.round, each.runs, each.margin, each.feasible, *each.lowest, each.variations]
@@ -325,10 +355,16 @@ class TuneResult(Findings):
 
     def _front_sentences(self) -> list[str]:
         kept = sum(point.failures == 0 for point in self.front)
-        return [
+        sentences = [
             f"{len(self.front)} gains of which none is better than another in both metrics. Each was judged by "
             f"{self.front[0].runs} runs that the search never used; {kept} of them fail in none."
         ]
+        if most := max(point.ended_early for point in self.front):
+            early = sum(point.ended_early > 0 for point in self.front)
+            sentences.append(
+                f"With {early} of them runs end early, up to {most}; these do not count for the largest values."
+            )
+        return sentences
 
     def _front(self) -> list[Curves]:
         names = [metric_label(name, self.scenario.robot) for name in self.minimise]
@@ -342,22 +378,20 @@ class TuneResult(Findings):
         return [Curves("Largest values of both metrics", names[0], names[1], shown, page=_PAGE)]
 
 
-def _held_out_values(result: CampaignResult, names: list[str], units: list[str], keys: tuple[str, ...]) -> str:
+def _held_out_values(found: HeldOut, names: list[str], units: list[str]) -> str:
     """Return the largest value of each minimised metric in the runs that completed, or the smallest margin of all.
 
     What a metric has reached when a run ends early is none of a whole run.
     """
-    if not keys:
-        return f"the smallest margin is {number(float(result.margin().min()))}"
-    table = result.to_arrow([*keys, "outcome"])
-    completed = np.array(table.column("outcome").to_pylist()) == COMPLETED
-    if not completed.any():
+    if not names:
+        return f"the smallest margin is {number(found.margin)}"
+    if not found.completed:
         return "no run completes"
     parts = [
-        f"the largest {name} is {_shown(float(table.column(key).to_numpy()[completed].max()), unit)}"
-        for name, unit, key in zip(names, units, keys, strict=True)
+        f"the largest {name} is {_shown(value, unit)}"
+        for name, unit, value in zip(names, units, found.largest, strict=True)
     ]
-    among = "" if completed.all() else f" among the {completed.sum()} of {len(completed)} runs that complete"
+    among = "" if found.completed == found.runs else f" among the {found.completed} of {found.runs} runs that complete"
     return ", ".join(parts) + among
 
 

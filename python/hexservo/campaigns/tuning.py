@@ -24,7 +24,13 @@ from hexservo.campaigns.store import PLAN, read_plan
 from hexservo.campaigns.strategies import best_candidate, front_of, relax
 from hexservo.campaigns.tune_result import Edge, FrontPoint, Generation, Relaxation, TuneResult
 from hexservo.campaigns.worst_case import MAX_SEED
-from hexservo.campaigns.writing import free_place, require_own_scenario, write_beside, write_scenario
+from hexservo.campaigns.writing import (
+    free_place,
+    require_empty,
+    require_own_scenario,
+    write_beside,
+    write_scenario,
+)
 from hexservo.findings.evidence import as_data
 from hexservo.run.progress import ProgressCallback, reporting
 from hexservo.run.publish import OutputError, named
@@ -110,6 +116,7 @@ def tune(
     steps = SearchSteps(out, plan, seed, generations, warn or (lambda sentence: None))
     with steps.opened(), reporting(progress, "generations") as report:
         require_own_scenario(steps.folder / _TUNED)  # before the search
+        _require_own_check(steps.folder / _HELD_OUT)
         candidates = Candidates(plan, plan.tune, steps, seed, threads)
         search = _Search(candidates, generations, rounds, report)
         search.run()
@@ -274,6 +281,25 @@ def _finished(search: _Search, plan: CampaignPlan, folder: Path, threads: int | 
     return result
 
 
+def _require_own_check(folder: Path) -> None:
+    """Refuse a place of the held-out campaign with anything but one, or with one that cannot be read.
+
+    Raises
+    ------
+    OutputError
+        What is there is kept.
+    ResultError
+        Its file was changed, or is of a format that this version does not read.
+    """
+    if folder.is_dir():
+        if (folder / PLAN).exists():
+            read_plan(folder)
+        else:
+            require_empty(folder, "the held-out campaign")
+    elif os.path.lexists(folder):
+        raise OutputError(f"{named(folder)}: expected a folder, got a file, which is kept; move it away")
+
+
 def _goes_on(folder: Path, plan: CampaignPlan) -> bool:
     """Whether a campaign is the one of a folder, or one of more runs, or the folder has none."""
     if not (folder / PLAN).exists():
@@ -344,16 +370,12 @@ def _front_points(candidates: Candidates, front: Array, plan: CampaignPlan) -> t
     inside = candidates.judged(front)
     assert plan.runs is not None
     runs = min(plan.runs, _OTHER_RUNS)
-    failures, values = candidates.on_runs(front, plan.changed(stream=plan.stream + 1), runs)
+    outside = candidates.on_runs(front, plan.changed(stream=plan.stream + 1), runs)
     return tuple(
         FrontPoint(
-            candidates.gains(front[row]),
-            tuple(map(float, inside.values[row])),
-            tuple(map(float, values[row])),
-            int(failures[row]),
-            runs,
+            candidates.gains(place), tuple(map(float, own)), tuple(map(float, largest)), failures, ended_early, runs
         )
-        for row in range(len(front))
+        for place, own, (failures, ended_early, largest) in zip(front, inside.values, outside, strict=True)
     )
 
 
@@ -370,6 +392,8 @@ def _front_csv(front: tuple[FrontPoint, ...], candidates: Candidates) -> str:
             for name, column in columns_of(key, np.asarray(value, dtype=known_key(key, law).dtype)[None]).items()
         }
         if place == 0:
-            writer.writerow([*names, *(f"{name}_held_out" for name in names), "failures", "runs", *gains])
-        writer.writerow([*point.values, *point.held_out, point.failures, point.runs, *gains.values()])
+            counts = ("failures", "ended_early", "runs")
+            writer.writerow([*names, *(f"{name}_held_out" for name in names), *counts, *gains])
+        counted = (point.failures, point.ended_early, point.runs)
+        writer.writerow([*point.values, *point.held_out, *counted, *gains.values()])
     return text.getvalue()

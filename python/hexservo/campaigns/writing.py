@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from hexservo.run.publish import OutputError, named, synchronize
+from hexservo.scenario.wording import quoted
 
 _HEAD = "# Written by hexservo, which replaces it while it is unchanged; SHA-256 of the rest: "  # of scenarios
 
@@ -22,6 +23,7 @@ _DRAFT = ".hexservo-{name}-{token}.part"  # no file of a user has such a name
 _DRAFTS = re.compile(_DRAFT.replace(".", r"\.").format(name=".+", token="[0-9a-f]{12}"))
 
 
+_NAMED = 3  # files in a message
 _PASSING = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # errors of a disk or its limits
 
 
@@ -70,8 +72,28 @@ def require_empty(folder: Path, owner: str) -> None:
     OutputError
         What is there is kept.
     """
-    if not all(map(_is_draft, folder.iterdir())):
-        raise OutputError(f"{named(folder)}: expected a new folder or that of {owner}, got one with other files")
+    others = sorted(path.name for path in folder.iterdir() if not _is_draft(path))
+    if others:
+        names = ", ".join(map(quoted, others[:_NAMED]))
+        more = f" and {len(others) - _NAMED} more" if len(others) > _NAMED else ""
+        raise OutputError(
+            f"{named(folder)}: expected a new folder or that of {owner}, got one with other files: {names}{more}; "
+            "name a new folder"
+        )
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder within that of a campaign or a search, if it is not there.
+
+    Raises
+    ------
+    OutputError
+        A file has its name, or it cannot be made.
+    """
+    with refusing(path):
+        if os.path.lexists(path) and not path.is_dir():
+            raise OutputError(f"{named(path)}: expected a folder, got a file, which is kept; move it away")
+        path.mkdir(exist_ok=True)
 
 
 def remove_drafts(folder: Path) -> None:
