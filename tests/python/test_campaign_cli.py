@@ -52,6 +52,24 @@ def test_the_command_of_the_worst_run_names_its_file_beside_a_changed_one(tmp_pa
     assert hs.load_scenario(named[1]) == hs.load_campaign(folder).worst(1)[0].scenario
 
 
+@pytest.mark.parametrize(
+    ("option", "name"), [("--worst", "worst-case.yaml"), ("--report", "report.html"), ("--pictures", "pictures/a.svg")]
+)
+def test_a_file_that_would_be_kept_is_refused_before_the_runs(tmp_path: Path, option: str, name: str) -> None:
+    folder = tmp_path / "out"
+    arguments = ["campaign", "campaign-composite-30hz", "--out", str(folder), *SHORT]
+    assert invoke(*arguments, "--runs", "50", "--quiet")[0] == 0
+    before = hs.load_campaign(folder).summary
+    (folder / name).parent.mkdir(exist_ok=True)
+    (folder / name).write_text("mine", encoding="utf-8")
+    code, out, err = invoke(*arguments, "--runs", "100", option)
+    assert (code, out) == (2, "")
+    assert name.partition("/")[0] in err
+    assert hs.load_campaign(folder).summary == before, "no further run"
+    assert (folder / name).read_text(encoding="utf-8") == "mine"
+    assert invoke(*arguments, "--runs", "100", "--quiet")[0] == 0, "without the option"
+
+
 def test_a_short_command_repeats_the_worst_run(tmp_path: Path) -> None:
     lines = "scenario: paper\nvary: {uncertainty.gravity: {uniform: [-0.1, 0.1]}}\nrequire: [outcome == completed]\n"
     (tmp_path / "mass.yaml").write_text(f"{lines}until: {{width_below: 0.9}}\nchunk_size: 2\n", encoding="utf-8")

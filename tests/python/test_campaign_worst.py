@@ -279,6 +279,10 @@ def test_other_seeds_decide_the_verdict(margin: float, drawn: float, failures: i
     )
     assert case.section().verdict == verdict
     assert case.section().sentences[1] == f"With other noise this case fails in {failures} of 100 runs (other seeds)."
+    noise = "; with the noise of the campaign's worst runs"
+    assert case.section().sentences[2].endswith(f"of a search (seed 0{noise}), which proves no bound.")
+    one_noise = dataclasses.replace(case, common_noise=7)
+    assert noise not in " ".join(one_noise.section().sentences)
 
 
 @pytest.mark.parametrize("vary", [{"seed": "each"}, {}])

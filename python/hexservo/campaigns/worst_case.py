@@ -80,10 +80,13 @@ class WorstCase(Findings):
         """Return the margin in sentences, and the smallest one of each requirement."""
         found = "fails" if self.margin < 0 else "passes"
         drawn = ", which fails" if self.drawn_margin < 0 else ""
+        noise = (
+            "; with the noise of the campaign's worst runs" if self.other_seeds and self.common_noise is None else ""
+        )
         sentences = [
             f"The worst case found {found}: its margin is {number(self.margin)}; the smallest one of the campaign's "
             f"own runs is {number(self.drawn_margin)}{drawn}.",
-            f"It is the worst of {self.runs} runs of a search (seed {self.seed}), which proves no bound.",
+            f"It is the worst of {self.runs} runs of a search (seed {self.seed}{noise}), which proves no bound.",
         ]
         if self.other_seeds:
             sentences.insert(
@@ -118,6 +121,18 @@ class WorstCase(Findings):
         if self.other_failures > self.other_seeds / 2:
             return "bad"
         return "warning" if self.other_failures or min(self.margin, self.drawn_margin) < 0 else "open"
+
+
+def require_own_case(folder: Path) -> None:
+    """Refuse the folder of a campaign where a search for the worst case could not write its file at the end.
+
+    Raises
+    ------
+    OutputError
+        ``worst-case.yaml`` there was changed, or hexservo did not write it; it is kept.
+    """
+    if folder.is_dir():
+        require_own_scenario(folder / CASE)
 
 
 def worst_case(
@@ -165,7 +180,7 @@ def worst_case(
     runs, restarts = whole_number("runs", runs, 1), whole_number("restarts", restarts, 1)
     seed = whole_number("seed", seed, 0, MAX_SEED)
     plan, starts = result.plan, [one["index"] for one in result.summary["worst"]][:restarts]
-    require_own_scenario(result.folder / CASE)  # before the search
+    require_own_case(result.folder)  # before the search
     judge = Judge(plan, threads)
     drawing = judge.drawing
     if not starts or not drawing.dimension:

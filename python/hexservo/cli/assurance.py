@@ -6,6 +6,7 @@ import shlex
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -96,6 +97,7 @@ def campaign(
                 ["expected more that varies than seed, whose noise has no box to search; got seed alone; leave it out"],
                 "--worst",
             )
+        _require_own_files(Path(out), worst=worst, report=report or pictures, pictures=pictures)
         started = time.perf_counter()
         with refusals():  # of an option, as the number of threads
             result = hs.campaign(
@@ -182,6 +184,18 @@ def tune(
             complain("no report, which is one of the held-out campaign; tuning.json has the course", head="Warning")
         if not found.feasible:
             raise typer.Exit(NOT_FEASIBLE)
+
+
+def _require_own_files(folder: Path, *, worst: bool, report: bool, pictures: bool) -> None:
+    """Refuse, before the runs, a folder in which what follows them would keep a file that is there."""
+    if worst:
+        from hexservo.campaigns.worst_case import require_own_case
+
+        require_own_case(folder)
+    if report:
+        from hexservo.report.campaign_page import require_own_report
+
+        require_own_report(folder, pictures=pictures)
 
 
 def _plan(file: str, settings: list[str], options: Mapping[str, str], **keys: int | None) -> CampaignPlan:

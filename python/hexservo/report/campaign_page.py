@@ -58,10 +58,8 @@ def write_campaign_report(result: CampaignResult, more: tuple[Section, ...] = ()
     """
     if not isinstance(result, CampaignResult):
         raise wrong_type("result", "a CampaignResult (see hs.campaign)", result)
+    require_own_report(result.folder, pictures=pictures)
     path, folder = result.folder / REPORT, result.folder / PICTURES
-    require_own(path, lambda content: content.startswith(f"{TITLE}\n".encode()))
-    if pictures:
-        check_folder(folder, force=True)
     sections = [*campaign_sections(result), *more]
     verdict, *others = sections
     plan = result.plan
@@ -80,6 +78,21 @@ def write_campaign_report(result: CampaignResult, more: tuple[Section, ...] = ()
     if pictures:
         _write_pictures(folder, sections)
     return path
+
+
+def require_own_report(folder: Path, *, pictures: bool = False) -> None:
+    """Refuse the folder of a campaign where `write_campaign_report` would keep what is there.
+
+    Raises
+    ------
+    OutputError
+        As `write_campaign_report`, as far as it can be checked without writing.
+    """
+    if not folder.is_dir():
+        return
+    require_own(folder / REPORT, lambda content: content.startswith(f"{TITLE}\n".encode()))
+    if pictures:
+        check_folder(folder / PICTURES, force=True)
 
 
 def _write_pictures(folder: Path, sections: Sequence[Section]) -> None:
