@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import os
 from pathlib import Path
 from typing import Any
 
@@ -265,6 +266,23 @@ def test_a_scenario_is_found_beside_the_file(tmp_path: Path, monkeypatch: pytest
     (tmp_path / "campaign.yaml").write_text(f"scenario: mine.yaml\n{lines}", encoding="utf-8")
     monkeypatch.chdir("/")
     assert load_plan(tmp_path / "campaign.yaml").scenario == hs.load_scenario("composite-30hz")
+
+
+def test_a_scenario_is_found_in_a_folder_whose_name_is_no_text(tmp_path: Path) -> None:
+    folder = tmp_path / os.fsdecode(b"mine-\xff")
+    folder.mkdir()
+    (folder / "mine.yaml").write_text(hs.load_scenario("composite-30hz").to_yaml(), encoding="utf-8")
+    lines = "vary: {seed: each}\nrequire: [outcome == completed]\nruns: 2\n"
+    (folder / "campaign.yaml").write_text(f"scenario: mine.yaml\n{lines}", encoding="utf-8")
+    assert load_plan(folder / "campaign.yaml").scenario == hs.load_scenario("composite-30hz")
+    changed = load_plan(folder / "campaign.yaml", {"robot.mass": 0.4}).scenario
+    assert changed == hs.load_scenario("composite-30hz", {"robot.mass": 0.4})
+    (folder / "mine.yaml").unlink()
+    with pytest.raises(hs.ScenarioError, match=r"scenario: .*: no such file"):
+        load_plan(folder / "campaign.yaml")
+    keys = hs.load_scenario("composite-30hz").to_mapping() | {"name": "\udcff"}
+    with pytest.raises(hs.ScenarioError, match=r"^scenario.name: expected text of whole Unicode characters"):
+        CampaignPlan(**{**FILE, "scenario": keys})
 
 
 @pytest.mark.parametrize("name", campaign_names())

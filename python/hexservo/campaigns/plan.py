@@ -86,7 +86,8 @@ class CampaignPlan(Block):
         given = keys.get("scenario")
         keys = plain({key: value for key, value in keys.items() if key != "scenario"})
         if given is not None:
-            keys["scenario"] = given if isinstance(given, Scenario) else plain(given)
+            # a path may have bytes that are no text
+            keys["scenario"] = given if isinstance(given, Scenario | str) else plain(given, "scenario")
         try:
             super().__init__(**keys)
         except ValidationError as error:
