@@ -1,4 +1,4 @@
-"""What differs between the campaign of a folder and the one that is to be run there, in words."""
+"""What differs between the campaign of a folder and the one that is to be run there."""
 
 from __future__ import annotations
 
