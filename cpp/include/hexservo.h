@@ -251,7 +251,9 @@ typedef struct hexservo_state hexservo_state;
 
 /** Prepares the controller of a scenario. Of `uncertainty` it takes over what the controller itself assumes wrongly:
  * focal length, principal point, mount, depth where the law has a model of the target's points, and the latency of
- * `sampled` mode.
+ * `sampled` mode. A scenario in continuous mode, as a new one is, has a frame and a pose at every tick and no guard
+ * against a camera that is gone: it is refused where a key of the controller that acts in `sampled` mode alone,
+ * `camera.timeout` for example, has another value than its default.
  * @param period time between two ticks [s], up to 1 s; 0: `simulation.step`
  * @param gains null in case of an error */
 HEXSERVO_API hexservo_status hexservo_gains_create(hexservo_scenario* scenario, double period, hexservo_gains** gains);

@@ -509,6 +509,29 @@ def test_the_memory_structs_suffice(library: ctypes.CDLL, scenario: Handle, law:
     assert 0 < needed[1] <= room("state")
 
 
+@pytest.mark.parametrize(
+    ("key", "value"), [("camera.timeout", "0.1"), ("camera.on_lost", "stop"), ("sensors.pose", "encoders")]
+)
+def test_gains_of_a_continuous_scenario_have_no_key_that_does_not_act(
+    library: ctypes.CDLL, scenario: Handle, key: str, value: str
+) -> None:
+    """A timeout that does nothing is no guard against a camera that is gone."""
+    for name, text in flat(hs.load_scenario("paper")).items():
+        assert scenario.set(name, text) == OK, scenario.message()
+    gains = ctypes.c_void_p()
+    create = [scenario.handle, ctypes.c_double(0.0), ctypes.byref(gains)]
+    assert library.hexservo_gains_create(*create) == OK, scenario.message()
+    library.hexservo_gains_destroy(gains)
+    assert scenario.set(key, value) == OK
+    assert library.hexservo_gains_create(*create) != OK
+    assert gains.value is None
+    assert scenario.message().startswith(f"{key}: expected its default in continuous mode, where it has no effect")
+    assert scenario.set("simulation.mode", "sampled") == OK
+    assert scenario.set("camera.noise", "0.1") == OK
+    assert library.hexservo_gains_create(*create) == OK, scenario.message()
+    library.hexservo_gains_destroy(gains)
+
+
 def ticked(scenario: hs.Scenario, ticks: int) -> list[Array]:
     """What the C program prints of its ticks, from the Python module."""
     period = scenario.simulation.step
