@@ -543,11 +543,11 @@ def test_a_pose_that_the_platform_cannot_have_come_to_is_unusable(paper: hs.Scen
     longest = max(legs.home_lengths)  # of a machine whose legs have no cranks: between their joints
     for wrong in (1.01 * longest, 1.0, 1e7):
         assert controller.step(**at(place, paper)).status == "valid"
-        out = controller.step(**at(place + [wrong, 0.0, 0.0], paper))
+        out = controller.step(**at(np.add(place, [wrong, 0.0, 0.0]), paper))
         assert out.status == "unusable"
         np.testing.assert_allclose(out.wrench, GRAVITY, atol=1e-12)
     assert controller.step(**at(place, paper)).status == "valid"
-    assert controller.step(**at(place + [0.99 * longest, 0.0, 0.0], paper)).status == "valid"
+    assert controller.step(**at(np.add(place, [0.99 * longest, 0.0, 0.0]), paper)).status == "valid"
 
 
 def test_a_state_that_was_stored_refuses_the_same_poses(paper: hs.Scenario) -> None:
@@ -555,7 +555,7 @@ def test_a_state_that_was_stored_refuses_the_same_poses(paper: hs.Scenario) -> N
     controller.step(**at(place, paper))
     later = copy.deepcopy(controller)
     for one in (controller, later):
-        assert one.step(**at(place + [1.0, 0.0, 0.0], paper)).status == "unusable"
+        assert one.step(**at(np.add(place, [1.0, 0.0, 0.0]), paper)).status == "unusable"
 
 
 def test_readings_may_be_half_a_tick_late(read_out: hs.Scenario) -> None:
