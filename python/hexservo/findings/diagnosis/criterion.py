@@ -26,6 +26,7 @@ class Record:
     outcome: str
     detail: str
     end_time: float  # of the last good sample [s]
+    stop_time: float  # of the end [s], as Result.stop_time
     metrics: Mapping[str, float]
     time: Array  # (m,) [s], of the samples that there are
     error: Array  # (m,) [px], largest |feature error|
@@ -86,6 +87,7 @@ def make_record(
     outcome: str,
     detail: str,
     end_time: float,
+    stop_time: float,
     metrics: Mapping[str, float],
     time: Array,
     samples: Mapping[str, Array],
@@ -103,6 +105,7 @@ def make_record(
         outcome,
         detail,
         end_time,
+        stop_time,
         metrics,
         time,
         error,

@@ -61,7 +61,7 @@ def _at_effort_limit(case: Case, record: Record, judgement: Judgement) -> Signat
 def _lost_features(case: Case, record: Record, judgement: Judgement) -> Signature:
     camera = case.scenario.camera
     if record.outcome == "feature_lost":
-        return Signature(1.0, f"A feature is lost at t = {number(record.end_time)} s, which ends the run.")
+        return Signature(1.0, f"A feature is lost at t = {number(record.stop_time)} s, which ends the run.")
     strength, sentences = 0.0, []
     if camera.image_size is not None:
         features = desired_features(case.scenario) - record.samples["feature_error"]
