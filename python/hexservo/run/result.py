@@ -154,6 +154,11 @@ class Result:
         return last if last is not None and last.time > self.end_time else None
 
     @property
+    def stopped_by(self) -> str:
+        """Kind of the leg's limit that ended the run, as of `LimitEvent`; "": none did."""
+        return "" if self.stop_event is None else self.stop_event.kind
+
+    @property
     def features(self) -> Array:
         """True features of the camera's pinhole, (n, 2p) [px]; `pixels` are those of its image."""
         return desired_features(self.scenario) - self.feature_error
