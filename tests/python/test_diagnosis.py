@@ -547,7 +547,7 @@ def record_by_hand(
     samples = {"feature_error": features, "leg_lengths": legs}
     target = np.zeros((len(error), 3))
     target[:, 0] = 0.0 if displacement is None else displacement
-    return make_record(outcome, "", float(time[-1]), metrics, time, samples, target, keep=True)
+    return make_record(outcome, "", time[-1], time[-1], "", metrics, time, samples, target, keep=True)
 
 
 ALLOWED = Allowed(band=2.0, dwell=0.2, stroke=0.017, duration=10.0)

@@ -114,6 +114,7 @@ class Diagnosis(Part):
                 "failed": self.failed,
                 "outcome": record.outcome,
                 "end_time": record.end_time,
+                "stop_time": record.stop_time,
                 "settled": judgement.settled,
                 "error": judgement.error * self.band,
                 "error_allowed": self.band,

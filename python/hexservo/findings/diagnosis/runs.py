@@ -10,6 +10,7 @@ import numpy as np
 
 from hexservo.findings.diagnosis.criterion import Record, make_record
 from hexservo.run.batch import BatchResult, metrics_of, simulate_batch, whole
+from hexservo.run.leg_limits import KIND_OF_CAUSE
 from hexservo.run.result import Result
 from hexservo.run.shared import numbers_of, shared_by, widest
 from hexservo.scenario.arrays import Array
@@ -41,6 +42,8 @@ def record_of(result: Result) -> Record:
         result.outcome,
         result.detail,
         result.end_time,
+        result.stop_time,
+        result.stopped_by,
         dict(result.streamed_metrics),
         result.time[kept],
         samples,
@@ -138,6 +141,8 @@ def _batch_record(batch: BatchResult, row: int, motion: TargetMotion) -> Record:
         str(batch.outcome[row]),
         batch.detail(row),
         float(batch.end_time[row]),
+        float(batch.stop_time[row]),
+        KIND_OF_CAUSE.get(str(batch.cause[row]), ""),
         metrics_of(batch, row),
         batch.time[there],
         {name: batch.samples[name][row][there] for name in ("feature_error", "leg_lengths")},
