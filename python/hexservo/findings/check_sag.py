@@ -93,7 +93,7 @@ def sag_of(scene: Scene) -> Sag | None:
     held = np.sign(forces) * np.maximum(np.abs(forces) - motor.friction, 0.0)
     map_ = scene.wrench_maps(view.pose)
     stiffness = motor.kp * (1.0 + gains.feedback)
-    shift, certain = (np.linalg.solve(map_.T, each / stiffness) for each in (forces, held))
+    shift, certain = (np.asarray(np.linalg.solve(map_.T, each / stiffness)) for each in (forces, held))
     pixels = [float(np.abs(view.jacobian @ each).max()) for each in (shift, certain)]
     return Sag(forces / stiffness, shift, pixels[0], pixels[1], view.jacobian)
 

@@ -27,13 +27,13 @@ _SLOW = 0.01
 def feedback_margin(scenario: Scenario) -> float:
     """Return the gain margin of `controller.tracking.feedback`: the least with which a leg alone oscillates.
 
-    The loop is one leg with the response of `actuators.position`; of motors (`position_torque`) it is each motion of
-    six legs that motors and platform have together (`motor_modes`), and the least margin counts. It is
-    commanded by minus the gain times its reading, with
-    the law's lag for legs of one slow pole (docs/model.md, section 5), held for a servo period and late by
-    `actuators.delay`, but by one period at least: what reads and commands once per period acts in the next one, and an
-    identification may have taken that for a part of the leg's lag. Where joints are read every m periods only
-    (`sensors.period`), the feedback moves on with each reading, and its command is held for m periods.
+    The loop is one leg with the response of `actuators.position`; of motors (`position_torque`) it is each motion
+    of six legs that motors and platform have together (`motor_modes`), and the least margin counts. It is commanded
+    by minus the gain times its reading, with the law's lag for legs of one slow pole (docs/model.md, section 5),
+    held for a servo period and late by `actuators.delay`, but by one period at least: what reads and commands once
+    per period acts in the next one, and an identification may have taken that for a part of the leg's lag. Where
+    joints are read every m periods only (`sensors.period`), the feedback moves on with each reading, and its
+    command is held for m periods.
 
     The reference and the estimate of the target are not in that loop, nor are limits of speed, acceleration and torque:
     the whole law oscillates from about 0.75 of the margin on. Half of it (6 dB) leaves room for that, and for what the
