@@ -64,7 +64,7 @@ def of_sag(scene: Scene) -> Iterator[str]:
 
 
 def both(motion: Array) -> str:
-    """Return the largest shift and rotation of a motion (6,) in words."""
+    """Return the largest shift and rotation of a motion (6,) with their units."""
     shift, turn = (float(np.abs(part).max()) for part in np.split(motion, 2))
     return f"{quantity(shift, 'm', 2)} and {quantity(turn, 'rad', 2)}"
 
