@@ -99,7 +99,7 @@ def make_record(
 ) -> Record:
     """Make a record of a run's samples; `keep` keeps them.
 
-    Where the target goes on in one direction, by its displacement (m, 3) [m], the legs that follow it do not drift.
+    Where the target goes on in one direction, by its displacement in B (m, 3) [m], legs that follow it do not drift.
     """
     error = np.abs(samples["feature_error"]).max(axis=1)
     follows = _drift(time, displacement, end_time) > 0.0

@@ -54,7 +54,7 @@ def _at_effort_limit(case: Case, record: Record, judgement: Judgement) -> Signat
     share = float((np.abs(record.samples["leg_forces"]).max(axis=1) >= _AT_LIMIT * limit).mean())
     units = leg_units(case.scenario.robot)
     limited = f"{units.effort_name} limit of {number(limit, 4)} {units.effort}"
-    sentence = f"A leg is at its {limited} for {share:.0%} of the time."
+    sentence = f"A leg is at its {limited} for {share:.0%} of the time." if share else f"No leg reaches its {limited}."
     return Signature(min(1.0, share / 0.2), sentence)
 
 
