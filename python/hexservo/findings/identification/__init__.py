@@ -22,6 +22,7 @@ from hexservo.findings.identification.changes import (
 )
 from hexservo.findings.identification.drives import DriveFit, Drives, fit_drives
 from hexservo.findings.identification.frames import CameraFit, fit_camera
+from hexservo.findings.identification.joints_repeated import require_readings
 from hexservo.findings.identification.log import Log, read_log
 from hexservo.findings.identification.log_end import LogEnd, end_of
 from hexservo.findings.identification.motors import MotorFit, fit_motors
@@ -115,14 +116,16 @@ def identify(
     ------
     ScenarioError
         A file that cannot be read, or what is wrong with it; legs that are out of the machine's reach, as in another
-        unit.
+        unit; joints that were read fewer than 50 times.
     TypeError
         For other types.
     """
     if not isinstance(machine, Scenario):
         raise wrong_type("machine", "a Scenario", machine)
     record = log if isinstance(log, Log) else read_log(log)
-    require_reach(record, machine, None if isinstance(log, Log) else os.fsdecode(log))
+    source = None if isinstance(log, Log) else os.fsdecode(log)
+    require_reach(record, machine, source)
+    require_readings(record, source)
     ticks = ticks_of(record, machine)
     machine.updated(ticks | in_whole_ticks(machine, ticks))  # refuses a scenario that has no run at these ticks
     with reporting(progress, "legs identified") as report:

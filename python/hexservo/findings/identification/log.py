@@ -31,12 +31,13 @@ LEAST_EXPLAINED = 0.5
 """Share of the motion in that rest that a model has to predict: one that predicts less is of something else."""
 JUDGED = 5.0
 """Standard deviations of the noise, of those of a leg's readings that a prediction is judged by: noise is 4 % of it."""
+FEWEST = 50
+"""Ticks: with fewer there is nothing to fit."""
 RESOLVED = 12
 """Decimals of readings [m; rad], beyond which two differ by the arithmetic of a driver alone."""
 _STILL = 5.0  # standard deviations of the noise that a leg has to move by
 _MOTION = 1.4  # of readings over that of their noise, where the leg moves: half of the variance
 _DIFFERENCES = 6  # of readings one after the other: they have little of a motion, and much of white noise
-_FEWEST = 50  # rows: with fewer there is nothing to fit
 _LONGEST = 0.5  # [s]: no machine is commanded more seldom
 _UNEVEN = 0.05  # of the period: most that a tick may be off its place
 _LATE = 0.5  # of the period: most that a few ticks may be, as where the computer was late
@@ -124,8 +125,8 @@ class Log:
                 raise ValueError(
                     f"{name}: expected finite numbers, got {values[tick, leg]} of leg {leg + 1} at tick {tick}"
                 )
-        if count < _FEWEST:
-            raise ValueError(f"time: expected at least {_FEWEST} ticks, got {count}")
+        if count < FEWEST:
+            raise ValueError(f"time: expected at least {FEWEST} ticks, got {count}")
         if not np.isfinite(self.time).all():
             raise ValueError("time: expected finite numbers, got others")
         if fault := _fault_of_order(self.time):
