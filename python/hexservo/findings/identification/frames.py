@@ -171,7 +171,7 @@ def fit_camera(log: Log, scene: Scene, drives: Drives | None = None) -> CameraFi
         if len(frames.arrival) < _FEWEST:
             return CameraFit(count, open=f"expected at least {_FEWEST} frames, got {repeated} of {count} repeated")
     stamped = frames.exposure is not None
-    period, dropout = clock(frames.arrival if frames.exposure is None else frames.exposure) or (None, None)
+    period, dropout = clock(frames.arrival if frames.exposure is None else frames.exposure, log.time) or (None, None)
     rounding = grid_of(frames.features[:, ::2], frames.features[:, 1::2])
     joints = JointMotion.of(log, drives)
     sight = PredictedImages.of(log, frames, scene, joints)
