@@ -31,7 +31,7 @@ TICK = 0.01  # [s]
 def repeated_ticks(kind: str, random: np.random.Generator, ticks: int) -> Mask:
     """Ticks that repeat the one before: none, one in a hundred by chance, or every second one."""
     chance = {"none": np.zeros(ticks, bool), "some": random.random(ticks) < 0.01, "half": np.arange(ticks) % 2 == 1}
-    return chance[kind] & (np.arange(ticks) > 0)
+    return np.asarray(chance[kind] & (np.arange(ticks) > 0))
 
 
 def with_repeats(log: Log, repeated: Mask, step: float = 0.0) -> Log:

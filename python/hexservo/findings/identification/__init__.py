@@ -125,11 +125,12 @@ def identify(
     record = log if isinstance(log, Log) else read_log(log)
     source = None if isinstance(log, Log) else os.fsdecode(log)
     require_reach(record, machine, source)
-    require_readings(record, source)
     ticks = ticks_of(record, machine)
     machine.updated(ticks | in_whole_ticks(machine, ticks))  # refuses a scenario that has no run at these ticks
     with reporting(progress, "legs identified") as report:
         drives = fit_drives(record, leg_units(machine.robot), report)
+    if drives.if_exchanged is None:  # commands that were held repeat as well
+        require_readings(record, source)
     scene = Scene(machine)
     camera = None if record.frames is None else fit_camera(record, scene, drives)
     found = None

@@ -11,6 +11,7 @@ import numpy as np
 from hexservo.findings.evidence import Verdict
 from hexservo.findings.identification.drives import MOST_DELAY, Drives
 from hexservo.findings.identification.frames import SEEN, CameraFit
+from hexservo.findings.identification.frames_outliers import NoOutliers
 from hexservo.findings.identification.log import Log
 from hexservo.findings.identification.motors import MotorFit
 from hexservo.findings.identification.one_drive import LIMITS, limit_of, response_of
@@ -176,7 +177,10 @@ def _of_camera(camera: CameraFit, machine: Scenario, step: float) -> dict[str, A
         changes[key] = max(_FEWEST_TICKS[key] * step, _whole(value, step))
     if camera.dropout is not None:
         changes |= {"camera.dropout": _digits(camera.dropout.value)}
-    if camera.outliers is not None and camera.outliers.are_known:
+    if isinstance(camera.outliers, NoOutliers):
+        if camera.outliers.exclude(machine.camera.outlier_probability, machine.camera.outlier_size):
+            changes |= {"camera.outlier_probability": 0.0}
+    elif camera.outliers is not None and camera.outliers.are_known:
         changes |= {"camera.outlier_probability": _digits(camera.outliers.probability.value)}
         changes |= {"camera.outlier_size": _digits(camera.outliers.size.value)}
     return changes

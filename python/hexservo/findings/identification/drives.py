@@ -28,7 +28,7 @@ from hexservo.findings.identification.drive_models import (
 )
 from hexservo.findings.identification.interval import LEVEL, Interval
 from hexservo.findings.identification.joints_repeated import fresh_readings
-from hexservo.findings.identification.log import FITTED, LEAST_EXPLAINED, Log, scatter
+from hexservo.findings.identification.log import FEWEST, FITTED, LEAST_EXPLAINED, Log, scatter
 from hexservo.findings.identification.rests import Rests, find_rests, with_friction
 from hexservo.findings.part import Part
 from hexservo.run.progress import ProgressCallback
@@ -169,6 +169,8 @@ def fit_drives(
     """
     fitted = int(FITTED * len(log.time))
     fresh = fresh_readings(log.joints)
+    if fresh.sum() < FEWEST:  # as where the joints are commands that were held
+        fresh[:] = True
     records = [_record(log, leg, fitted, fresh) for leg in range(6)]
     found: list[list[Model]] = []
     for leg, record in enumerate(records):
@@ -223,7 +225,7 @@ def _if_exchanged(log: Log, drives: Drives, records: Sequence[LegRecord], delays
     if worst is None or worst.explained is None or (worst.explained >= GOOD and worst.response_is_known):
         return None
     exchanged, leg = replace(log, commands=log.joints, joints=log.commands), worst.leg - 1
-    record = _record(exchanged, leg, records[leg].fitted, records[leg].fresh)
+    record = _record(exchanged, leg, records[leg].fitted, np.ones(len(log.time), dtype=bool))
     best = _best(_search(record, delays))
     explained = record.explained(record.response(best.values, best.base))
     clearly = explained is not None and explained >= GOOD and 1.0 - explained < _LESS * (1.0 - worst.explained)

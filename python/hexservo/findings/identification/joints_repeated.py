@@ -8,7 +8,6 @@ from hexservo.findings.identification.log import FEWEST, RESOLVED, Log
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.yaml import ScenarioError
 
-_BY_ITSELF = 0.05  # single readings that are equal to the one before, by runs in which all are: more are rounded
 _CLEAR = 2.5  # steps of rounding: a leg that moves by more from one tick to the next was not about to stop
 _OF_LEGS = 0.5  # share of the legs that do so before and after a run of equal readings, for it to be no rest
 
@@ -17,10 +16,10 @@ def fresh_readings(joints: Array) -> Mask:
     """Return at which ticks (n,) the joints were read: the others repeat the tick before, of all legs.
 
     Noise changes every reading, and equal ones are then repeated. Rounded readings, and those without noise, are equal
-    at a rest as well: legs come to rest one after the other and by small steps. They are repeated where half of the
-    legs that move at all stop at once and go on at once, by more than two steps of rounding. In a log with such
-    readings, the last ones before any leg goes on, or the log ends, may be repeated: as many as usually in a row. All
-    others count.
+    at a rest as well: legs come to rest one after the other and by small steps. So readings are repeated where half of
+    the legs that move at all stop at once and go on at once, by more than two steps of rounding, as by noise. In a log
+    with such readings, the last ones before any leg goes on, or the log ends, may be repeated: as many as usually in a
+    row. All others count.
 
     Parameters
     ----------
@@ -30,14 +29,10 @@ def fresh_readings(joints: Array) -> Mask:
     readings = np.round(joints, RESOLVED)
     readings = readings[:, np.ptp(readings, axis=0) > 0.0]
     steps = np.abs(np.diff(readings, axis=0))
-    equal = ~(steps > 0.0)
-    whole = equal.all(axis=1)
+    whole = ~(steps > 0.0).any(axis=1)
     fresh = np.ones(len(joints), dtype=bool)
     runs = np.flatnonzero(np.diff(np.concatenate([[False], whole, [False]]).astype(int))).reshape(-1, 2)
     if not readings.shape[1] or not len(runs):
-        return fresh
-    if (equal.any(axis=1) & ~whole).sum() <= _BY_ITSELF * len(runs):
-        fresh[1:] = ~whole
         return fresh
     clear = steps > _CLEAR * _resolution(readings)
     go = np.concatenate([[False], clear.mean(axis=1) >= _OF_LEGS, [False]])
