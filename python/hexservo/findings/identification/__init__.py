@@ -16,9 +16,11 @@ from hexservo.findings.identification.changes import (
     faults_of,
     in_whole_ticks,
     of_law,
+    open_keys,
     raised_timeout,
     ticks_of,
     times_of_camera,
+    times_of_drives,
 )
 from hexservo.findings.identification.drives import DriveFit, Drives, fit_drives
 from hexservo.findings.identification.frames import CameraFit, fit_camera
@@ -69,10 +71,13 @@ class Identification(Findings):
     def sections(self) -> Sequence[Section]:
         """Return the findings as sentences, tables and curves."""
         parts = self._parts()
-        given = {key: value_at(self.machine, key) for key in (*self.changes, *self.rounded)}
+        left = open_keys(self.drives, self.changes)
+        given = {key: value_at(self.machine, key) for key in (*self.changes, *self.rounded, *left)}
         verdicts = {part.title: part.verdict for part in parts}
-        times = {} if self.camera is None else times_of_camera(self.camera, self.machine)
-        return [*parts, Changes(self.changes, self.rounded, given, verdicts, self.faults, times).section()]
+        times = times_of_drives(self.drives, self.changes)
+        if self.camera is not None:
+            times |= times_of_camera(self.camera, self.machine)
+        return [*parts, Changes(self.changes, self.rounded, given, verdicts, self.faults, times, left).section()]
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain data, for JSON: keys, and each section's numbers."""

@@ -115,9 +115,14 @@ class Drives(Part):
         return [fit for fit in self.fits if fit.bandwidth is not None]
 
     @property
+    def delay(self) -> float:
+        """The median of the delays of the legs that keys are taken from [ticks]."""
+        return float(np.median([fit.delay.value for fit in self.taken if fit.delay is not None]))
+
+    @property
     def whole_delay(self) -> int:
-        """The delay of a scenario, which has whole ticks: the median of the legs that keys are taken from, rounded."""
-        return round(float(np.median([fit.delay.value for fit in self.taken if fit.delay is not None])))
+        """The delay of a scenario, which has whole ticks."""
+        return round(self.delay)
 
     @property
     def worst(self) -> DriveFit | None:
