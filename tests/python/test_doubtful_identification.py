@@ -108,7 +108,7 @@ def test_the_table_of_keys_names_what_the_log_does_not_determine(
 ) -> None:
     """Of a delay in ticks of 20 ms: 1.4, and at the most that is tried; and of a pair that no leg determines."""
     log, slow = slow_legs
-    machine = paper.updated({"simulation.mode": "sampled", "simulation.step": 0.001, "actuators.delay": 0.03})
+    machine = paper.updated({"simulation.mode": "sampled", "simulation.step": 0.005, "actuators.delay": 0.035})
     known = Interval(1.0, 0.9, 1.1)
     unknown = Interval(1.0, -np.inf, np.inf)
 
