@@ -98,7 +98,7 @@ def test_a_slow_beat_of_ticks_and_frames_is_within_the_interval(jitter: float) -
 
 @pytest.mark.parametrize("whole", [1, 2, 3])
 def test_a_period_of_whole_ticks_is_known_to_a_tick_in_the_time_of_all_frames(whole: int) -> None:
-    """Frames that arrive at every tick, or every second or third one: their times have no scatter, and no step below their period."""
+    """Frames at every tick, or every second or third: their times have no scatter, and no step below their period."""
     tick, random = 0.02, np.random.default_rng(SEED)
     ticks = tick * np.arange(1000.0)
     for off in (0.0, 1e-5, -1e-5):
