@@ -74,7 +74,7 @@ export class ParameterMap {
     this.y = box.querySelector("[name=y]");
     this.by = box.querySelector("[name=metric]");
     this.button = box.querySelector("button");
-    this.by.append(...metrics.map(({ name }) => element("option", { value: name })), element("option", { value: "outcome" }, "outcome"));
+    this.by.append(...metrics.map(({ name }) => element("option", { value: name }, name.replaceAll("_", " "))), element("option", { value: "outcome" }, "outcome"));
     this.refusal = "";
     this.button.addEventListener("click", () => (this.running ? this.stop() : this.start()));
     this.by.addEventListener("change", () => this.draw());

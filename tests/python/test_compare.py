@@ -376,9 +376,10 @@ def test_units_follow_the_legs(names: list[str], monkeypatch: pytest.MonkeyPatch
 
     comparison = hs.compare(names, ["pbvs"], {"simulation.duration": 0.1})
     mixed = len(names) > 1
-    heads = ["leg force", "stroke"]
+    heads = ["leg force, crank torque", "stroke"]
     if not mixed:
-        heads = [f"leg force [{UNITS[names[0]][0]}]", f"stroke [{travel_unit(comparison.rows[0])[0]}]"]
+        of_efforts = "crank torque" if names == [CRANKS] else "leg force"
+        heads = [f"{of_efforts} [{UNITS[names[0]][0]}]", f"stroke [{travel_unit(comparison.rows[0])[0]}]"]
     first, _, *lines = (line.split(" | ") for line in comparison.to_markdown().splitlines())
     places = [first.index(head) for head in heads]
     for cells, row in zip(lines, comparison.rows, strict=True):

@@ -167,7 +167,7 @@ def test_a_custom_controller_is_stopped_by_the_same_leg(log_every: int) -> None:
     assert (batch.stop_time[0], batch.limit_leg[0]) == (event.time, event.leg)
 
 
-# ---- In words -------------------------------------------------------------------------------------------------------
+# ---- What people read ------------------------------------------------------------------------------------------------
 
 
 def test_the_command_states_leg_limit_value_and_bound() -> None:

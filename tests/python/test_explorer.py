@@ -838,10 +838,8 @@ def test_metrics_of_cranks_have_their_names(visit: Visit) -> None:
     page = visit.page
     for name, words in (("reachy-mini-head", "peak crank torque"), ("paper", "peak leg force")):
         visit.go(f"#{name}")
-        rows = page.locator("#metrics summary").all_inner_texts()
+        rows = page.locator("#metrics summary").all_text_contents()
         assert rows[list(METRICS).index("peak_leg_force")] == words
-        chosen = page.locator("[name=metric] option[value=peak_leg_force]")
-        assert chosen.evaluate("option => option.textContent") == words
 
 
 @in_browser
