@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -32,10 +34,9 @@ def of_target(scene: Scene) -> Iterator[str]:
     """
     if not scene.has_points:
         return
-    pointing = isinstance(gains := scene.scenario.controller.gains, Tracking) and gains.follow == "direction"
-    yield from _of_pointing(scene) if pointing else ()
+    yield from _of_pointing(scene) if _points(scene) else ()
     if moving_keys(scene.scenario):
-        yield from _of_way(scene, pointing)
+        yield from _of_way(scene)
         yield from _of_frames(scene.scenario)
 
 
@@ -49,17 +50,12 @@ def _of_pointing(scene: Scene) -> Iterator[str]:
         )
 
 
-def _of_way(scene: Scene, pointing: bool) -> Iterator[str]:
+def _of_way(scene: Scene) -> Iterator[str]:
     """Find the time from which on the legs do not reach the pose that the target's motion asks for."""
-    path = path_of(scene)
-    poses, resting = (_way(scene, each, pointing) for each in (path, at_rest()))
-    if poses is None or resting is None or not scene.reachable(resting)[0]:  # `check` names a goal out of reach at rest
+    leaves = leaves_reach(scene)
+    if leaves is None:
         return
-    beyond = ~scene.reachable(poses)
-    by_pose = scene.scenario.controller.traits.output == "pose"  # which goes to that pose, whatever else shows the goal
-    if not beyond.any() or not (by_pose or _beyond_for_good(scene, path, poses)):
-        return
-    first = int(beyond.argmax())
+    first, path, poses = leaves.first, leaves.path, leaves.poses
     limit = nearest_limit(scene, poses[first])
     why = "a singular pose lies on the way" if limit.within else limit.beyond
     keys = moving_keys(scene.scenario)
@@ -69,6 +65,34 @@ def _of_way(scene: Scene, pointing: bool) -> Iterator[str]:
         f"{' and '.join(keys)}: the goal is out of reach from {quantity(float(path.time[first]), 's')} on, first where "
         f"{why}{_of_border(scene, path[first:], stay)}; bound the motion, or shorten simulation.duration{rides}"
     )
+
+
+@dataclass(frozen=True, eq=False)
+class Leaving:
+    """A target that leaves the reach of the legs."""
+
+    first: int  # instant of the path at which the goal is out of reach
+    path: TargetPath  # n
+    poses: Poses  # n, where the platform has to be for it
+
+
+@lru_cache(maxsize=8)  # several checks ask
+def leaves_reach(scene: Scene) -> Leaving | None:
+    """Return how a target leaves the reach; None where it does not, or where the goal at rest is beyond already."""
+    path, pointing = path_of(scene), _points(scene)
+    poses, resting = (_way(scene, each, pointing) for each in (path, at_rest()))
+    if poses is None or resting is None or not scene.reachable(resting)[0]:  # `check` names a goal out of reach at rest
+        return None
+    beyond = ~scene.reachable(poses)
+    by_pose = scene.scenario.controller.traits.output == "pose"  # which goes to that pose, whatever else shows the goal
+    if not beyond.any() or not (by_pose or _beyond_for_good(scene, path, poses)):
+        return None
+    return Leaving(int(beyond.argmax()), path, poses)
+
+
+def _points(scene: Scene) -> bool:
+    """Return whether the law points the camera at the target, and goes to no place."""
+    return isinstance(gains := scene.scenario.controller.gains, Tracking) and gains.follow == "direction"
 
 
 def _beyond_for_good(scene: Scene, path: TargetPath, poses: Poses) -> bool:

@@ -19,6 +19,7 @@ from hexservo.findings.analysis.linear_law import (
     rest_of,
 )
 from hexservo.findings.analysis.linear_loop import Actuation, Clock, SampledLoop
+from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import ALL_AXES, AT_HOME, AT_REST, scene_of
 from hexservo.run.simulation import simulate, uninterrupted
 from hexservo.scenario.arrays import Array
@@ -213,6 +214,21 @@ def loop_before_moving_target(at_rest: LoopAtRest, wrenches: Array) -> SampledLo
     loop = _loop(calm, linear_law(calm, scene_of(calm), pose, smooth=smooth), linear_plant(calm, pose), whole=True)
     target = np.hstack([np.zeros_like(wrenches), side_of_target(calm) * np.eye(6)])
     return replace(loop, disturbance=np.hstack([wrenches, np.zeros((6, 6))]), target=target)
+
+
+def rates_without_mass(scenario: Scenario, pose: Poses) -> Array:
+    """Return the twist (6,) at which a law moves a platform without mass, by its displacement from a pose, (6, 6).
+
+    Raises
+    ------
+    NoRestError
+        Where the law cannot be evaluated there.
+    NotApplicableError
+        Where the camera's times are no whole numbers of ticks.
+    """
+    calm = on_pinhole(quiet(scenario)).updated({"robot.gravity": [0.0, 0.0, 0.0]})  # the twist carries no weight
+    law = linear_law(calm, scene_of(calm), pose)
+    return np.asarray(np.linalg.solve(-law.twist, law.frame[:, :6] + law.pose))
 
 
 def side_of_target(scenario: Scenario) -> float:
