@@ -37,7 +37,8 @@ def of_gate(scene: Scene) -> Iterator[str]:
     if moved > camera.gate:
         yield (
             f"camera.gate: {number(camera.gate)} px is less than the {number(moved)} px that "
-            f"{' and '.join(moving_keys(scene.scenario))} moves the image from frame to frame, so that right points count as lost; widen the gate"
+            f"{moving_keys(scene.scenario)[0]} moves the image from frame to frame, so that right points count as "
+            "lost; widen the gate"
         )
 
 
