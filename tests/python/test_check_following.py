@@ -40,6 +40,7 @@ MOTIONS: list[tuple[str, dict[str, Any]]] = [
     ("slow-camera", {**WORLD, "base_motion.amplitude": [0.0, 2.0, 0.0], "base_motion.frequency": 2.0}),
     ("real-machine", {"base_motion.kind": "none", **sinusoid([0.0, 0.004, 0.003], 2.0)}),
     ("pi-h824-positions", {**BY_PBVS, **sinusoid([0.002, 0.0, 0.001], 1.0)}),
+    ("pi-h824-positions", {**BY_PBVS, "camera.latency": 0.12, **sinusoid([0.002, 0.0, 0.001], 0.5)}),
     ("pi-h824-positions", {"controller.law": "resolved_rate", **sinusoid([0.0, 0.002, 0.001], 0.5)}),
     ("pi-h824-positions", {**BY_PBVS, **STEADY, "simulation.duration": 2.4}),
 ]

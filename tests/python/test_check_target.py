@@ -207,7 +207,7 @@ def test_the_path_of_a_target_has_the_images_of_a_run() -> None:
 def test_pointing_on_a_base_that_turns(machine: hs.Scenario) -> None:
     """The camera that points at a target in the world has the middle of the target where the goal has it."""
     keys = {"controller.tracking.follow": "direction", "base_motion.amplitude": [0.01, 0.0, 0.0]}
-    turning = {"base_motion.rotation": {"kind": "sinusoid", "amplitude": [0.02, -0.03, 0.1], "frequency": 0.3}}
+    turning = {"base_motion.rotation": {"kind": "sinusoid", "amplitude": [0.05, -0.05, 1.2], "frequency": 0.3}}
     scene = scene_of(machine.updated({**IN_WORLD, **keys, **turning}))
     path = path_of(scene)
     image = scene.image(path.seen_alike(_pointed(scene, path)))[0]

@@ -1,4 +1,4 @@
-"""Targets that a law follows farther behind than the band; the law `tracking` has checks of its own."""
+"""Targets that a law follows farther behind than the band; of the law `tracking` see `check_tracking`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hexservo.scenario.wording import number
 def of_following(scene: Scene) -> Iterator[str]:
     """Yield a sentence for a target of which a law leaves more than the band in the second half of a run.
 
-    Small motions are left larger in runs, where the switching term holds the platform, and so are those that reach the
+    Small motions are left larger in runs, by stiction of the switching term, and so are those that reach the
     limits of legs or drives.
     """
     keys = moving_keys(scene.scenario)

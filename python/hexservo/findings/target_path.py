@@ -1,4 +1,4 @@
-"""Where a target is in B during a run: by its own motion, and by that of the base before a target in the world."""
+"""Where a target is in B during a run: by `target.motion`, and by the base before a target in the world."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def path_at(scene: Scene, time: Array) -> TargetPath:
 
 
 def path_of(scene: Scene) -> TargetPath:
-    """Return where the target is at instants of a run, its ends and the extremes of its own motion among them."""
+    """Return where the target is at instants of a run, its ends and the extremes of `target.motion` among them."""
     motion, duration = scene.scenario.target.motion, scene.scenario.simulation.duration
     span, count = duration, _INSTANTS
     extremes = np.zeros(0)
@@ -96,10 +96,10 @@ def path_of(scene: Scene) -> TargetPath:
 
 
 def sinusoid_in_base(scenario: Scenario) -> TargetMotion:
-    """Return the target's motion in B, with the sinusoid of a base that swings without turning as the target's own.
+    """Return the target's motion in B, with the sinusoid of a base that swings in translation alone as `target.motion`.
 
     A base with the acceleration a sin(wt + phase) is displaced by -a/w^2 sin(wt + phase), and a target in the world by
-    the opposite. Where both move, or the base otherwise, it is the target's own motion alone.
+    the opposite. Where both move, or the base otherwise, it is `target.motion` as it is.
     """
     base, motion = scenario.base_motion, scenario.target.motion
     swings = base.kind == "sinusoid" and base.rotation.kind == "none" and base.frequency > 0.0
