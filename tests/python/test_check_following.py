@@ -69,6 +69,7 @@ def test_a_loop_that_amplifies_the_motion() -> None:
     (line,) = said(scenario)
     (left, still) = map(float, re.findall(r"about ([\d.]+) px of .* would have ([\d.]+) px: the loop", line)[0])
     assert left > still
+    assert "higher bandwidth" not in line
     points = scene_of(scenario).view(scene_of(scenario).start).jacobian[:, 0]
     assert still == pytest.approx(0.008 * np.abs(points).max(), rel=0.2)  # the goal is nearly as far away
 

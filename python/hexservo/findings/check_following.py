@@ -34,8 +34,9 @@ def of_following(scene: Scene) -> Iterator[str]:
         if followed > still
         else ""
     )
+    faster = "" if worse else "a law of higher bandwidth, "
     yield (
         f"{' and '.join(keys)}: {scene.scenario.controller.law} leaves up to about {number(followed, 2)} px of such "
         f"a motion of the target by its linear loop, beside noise{worse}. metrics.band is {number(scene.band)} px: "
-        "a law of higher bandwidth, a shorter camera.period or latency, or a slower motion leaves less"
+        f"{faster}a shorter camera.period or latency, or a slower motion leaves less"
     )
