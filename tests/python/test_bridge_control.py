@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import sys
+from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import hexservo as hs
-from hexservo.findings.analysis.loop_of_scenario import NotApplicableError, clock_of, loop_at_rest
+from hexservo import _core
+from hexservo.findings.analysis.linear_law import rest_of
+from hexservo.findings.analysis.loop_of_scenario import NotApplicableError, clock_of, loop_at_rest, quiet, with_features
+from hexservo.findings.analysis.scene import scene_of
 
 control = pytest.importorskip("control", reason="python-control is not installed (extra `control`)")
 
@@ -30,7 +35,10 @@ def test_the_loop_has_the_eigenvalues_of_the_analysis(name: str) -> None:
     found = loop.poles()
     resting = expected.resting.shape[1]
     assert loop.dt == expected.seconds(clock_of(at_rest.scenario))
-    assert len(found) == len(multipliers) + resting
+    # a law that predicts has the target's displacement beside each frame: it begins again with every one
+    frames = 1 + clock_of(at_rest.scenario).latency // clock_of(at_rest.scenario).period
+    assert len(found) == len(multipliers) + resting + 6 * frames
+    assert np.sum(np.abs(found) < 1e-3) >= 6 * frames
     # those that stay belong to 1; all others are the analysis', but for the order and rounding
     kept = np.delete(found, np.argsort(np.abs(found - 1.0))[:resting])
     for value in multipliers[np.abs(multipliers) > 0.2]:
@@ -90,7 +98,8 @@ def test_the_plant_under_constant_inputs_is_exact(name: str) -> None:
 def test_signals_have_names() -> None:
     plant = hs.bridges.control(hs.load_scenario("paper-nominal"), "plant")
     assert plant.input_labels[:2] == ["wrench_fx", "wrench_fy"]
-    assert plant.input_labels[6:] == [f"base_acceleration_{axis}" for axis in "xyz"]
+    assert plant.input_labels[6:9] == [f"base_acceleration_{axis}" for axis in "xyz"]
+    assert plant.input_labels[9:] == [f"target_{axis}" for axis in ("x", "y", "z", "rx", "ry", "rz")]
     assert plant.output_labels == [f"feature_{i}{a}" for i in range(1, 5) for a in "xy"] + [
         f"pose_{axis}" for axis in ("x", "y", "z", "rx", "ry", "rz")
     ]
@@ -99,9 +108,9 @@ def test_signals_have_names() -> None:
 
 def test_an_accelerating_base_moves_the_platform_backwards() -> None:
     plant = hs.bridges.control(hs.load_scenario("paper"), "plant")
-    acceleration = plant.B[6:9, 6:]
+    acceleration = plant.B[6:9, 6:9]
     np.testing.assert_allclose(acceleration, -np.eye(3), rtol=0, atol=1e-12)
-    np.testing.assert_allclose(plant.B[9:, 6:], 0.0, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(plant.B[9:, 6:9], 0.0, rtol=0, atol=1e-12)
 
 
 def test_the_loop_responds_to_the_base_as_a_run_does() -> None:
@@ -131,6 +140,66 @@ def test_the_loop_responds_to_the_base_as_a_run_does() -> None:
     response = loop(np.exp(2j * np.pi * frequency * tick))[:8, 6] * amplitude
     # error is goal minus image, and a sinusoid begins as a sine: its phasor is -j
     np.testing.assert_allclose(found, 1j * response, rtol=0, atol=0.03 * np.abs(response).max())
+
+
+@pytest.mark.parametrize("prediction", ["none", "encoder"])
+@pytest.mark.parametrize(
+    ("law", "sensors"),
+    [("computed_torque", {}), ("pbvs", {"sensors.pose": "encoders", "sensors.period": 0.003})],
+)
+def test_the_loop_responds_to_the_target_as_a_run_does(law: str, sensors: dict[str, Any], prediction: str) -> None:
+    """A sinusoid in all three directions, with latency; a pattern begins with the exposure."""
+    amplitude, frequency = np.array([2e-4, -1e-4, 1.5e-4]), 1.0
+    quiet = {**SETTLED, **sensors, "camera.noise": 0.0, "uncertainty.gravity": 0.0, "camera.prediction": prediction}
+    still = hs.load_scenario("composite-30hz").updated(
+        {**quiet, "controller.law": law, "simulation.duration": 8.0, "simulation.log_every": 1}
+    )
+    motion = {"kind": "sinusoid", "amplitude": amplitude.tolist(), "frequency": frequency}
+    runs = [hs.simulate(each) for each in (still, still.updated({"target.motion": motion}))]
+    loop = hs.bridges.control(still)
+    every = round(loop.dt / still.simulation.step)
+    late = np.arange(len(runs[0].time))[::every]
+    late = late[(runs[0].time[late] >= 4.0) & (runs[0].time[late] < 8.0 - 1e-9)]
+    turning = np.exp(-2j * np.pi * frequency * runs[0].time[late])[:, None]
+    features = runs[0].feature_error[late] - runs[1].feature_error[late]
+    moved = np.hstack([features, (runs[1].position - runs[0].position)[late]])
+    found = 2j * (moved * turning).mean(axis=0)  # a sinusoid begins as a sine: its phasor is -j
+    expected = (loop(np.exp(2j * np.pi * frequency * loop.dt))[:, 9:12] @ amplitude)[: len(found)]
+    # the mean over samples that do not divide the period leaves a percent
+    for part in (slice(0, 8), slice(8, 11)):
+        np.testing.assert_allclose(found[part], expected[part], rtol=0, atol=0.01 * np.abs(expected[part]).max())
+
+
+@pytest.mark.parametrize("name", ["slow-camera", "eye-to-hand"])
+def test_a_displaced_target_displaces_the_features(name: str) -> None:
+    """As a rigid body about the platform's origin at rest, by the image of the displaced points."""
+    scenario = with_features(hs.load_scenario(name))
+    plant, scene = hs.bridges.control(scenario, "plant"), scene_of(scenario)
+    rest = rest_of(quiet(scenario), scene).view.pose
+    on_platform = scenario.camera.mount.on == "base"
+    points = rest.carried(scene.points) if on_platform else scene.points
+    move = 1e-6 * np.array([1.0, -2.0, 0.5, 3.0, -1.0, 2.0])
+    turn = Rotation.from_rotvec(move[3:])
+    displaced = turn.apply(points - rest.position) + rest.position + move[:3]
+    if on_platform:
+        frame = Rotation.from_quat(np.roll(rest.quaternion, -1))
+        displaced = frame.inv().apply(displaced - rest.position)
+    one, other = (
+        _core.take_image(scene.camera, rest.position, rest.quaternion, at)[0] for at in (scene.points, displaced)
+    )
+    expected = plant.D[:-6, 9:] @ move
+    np.testing.assert_allclose(other - one, expected, rtol=0, atol=1e-4 * np.abs(expected).max())
+
+
+def test_a_continuous_loop_follows_its_target_as_short_ticks_do() -> None:
+    for prediction in ("none", "encoder"):
+        scenario = law("computed_torque").updated({"simulation.step": 1e-4})
+        if prediction == "encoder":
+            scenario = scenario.updated({"simulation.mode": "sampled", "camera.prediction": prediction})
+        s = 2j * np.pi * 1.0
+        continuous = hs.bridges.control(scenario, sampled=False)(s)[:, 9:]
+        sampled = hs.bridges.control(scenario, sampled=True)(np.exp(s * 1e-4))[:, 9:]
+        np.testing.assert_allclose(continuous, sampled, rtol=0, atol=1e-3 * np.abs(sampled).max())
 
 
 @pytest.mark.parametrize("of", ["plant", "loop"])

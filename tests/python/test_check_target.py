@@ -10,7 +10,11 @@ import numpy as np
 import pytest
 
 import hexservo as hs
+from hexservo.findings.analysis.poses import Poses
+from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check import unlikely
+from hexservo.findings.check_target import _pointed
+from hexservo.findings.target_path import path_at, path_of
 from hexservo.scenario.pixels import points_outside
 
 GOAL = np.array([0.004, -0.003, 0.002, -0.01, -0.015, 0.02])  # of pi-h824-positions
@@ -134,3 +138,86 @@ def test_a_motion_that_frames_do_not_show_moves_nothing(machine: hs.Scenario) ->
     motion = {"kind": "sinusoid", "amplitude": [1e-3, 0.0, 0.0], "frequency": 12.5}
     one, other = hs.simulate(at_rest), hs.simulate(at_rest.updated({"target.motion": motion}))
     np.testing.assert_allclose(one.position, other.position, rtol=0, atol=1e-9)
+
+
+IN_WORLD: dict[str, Any] = {"target.frame": "world", "base_motion.kind": "sinusoid", "base_motion.frequency": 0.2}
+
+
+def test_a_base_that_moves_before_a_target_in_the_world(machine: hs.Scenario) -> None:
+    """The base is displaced by -a/w^2 sin(wt), and the target in B by the opposite: the same warning for both."""
+    w = 2.0 * np.pi * 0.2
+    moving = machine.updated({**IN_WORLD, "base_motion.amplitude": [1.0, 0.0, 0.0]})
+    (line,) = about_target(moving, "base_motion:")
+    (time,) = re.findall(r"the goal is out of reach from ([\d.]+) ms on, first where leg \d would be ", line)
+    step = moving.simulation.duration / 1000.0
+    for at, within in ((1e-3 * float(time), False), (1e-3 * float(time) - 2.0 * step, True)):
+        assert hs.reachable(machine, shifted([1.0, 0.0, 0.0], np.sin(w * at) / w**2)).within is within
+    assert "outside the image of a platform that stays there" in line
+    assert about_target(moving.updated({"target.frame": "base"}), "base_motion: the goal") == []
+    small = moving.updated({"base_motion.amplitude": [0.01, 0.0, 0.0]})  # 6 mm
+    assert about_target(small, "base_motion:") == []
+
+
+def test_a_goal_that_is_out_of_reach_where_the_base_begins(machine: hs.Scenario) -> None:
+    keys = {"base_motion.amplitude": [1.0, 0.0, 0.0], "base_motion.phase": math.pi / 2.0}
+    (line,) = about_target(machine.updated({**IN_WORLD, "base_motion.frequency": 0.4, **keys}), "base_motion:")
+    assert "out of reach from 0 s on" in line
+
+
+def test_a_rough_road_before_a_target_in_the_world() -> None:
+    """The run leaves the stroke; before a target that rides along it does not."""
+    road = hs.load_scenario("rough-road")
+    for frame, leaves in (("world", True), ("base", False)):
+        scenario = road.updated({"target.frame": frame})
+        assert bool(about_target(scenario, "base_motion:")) is leaves
+        run, scene = hs.simulate(scenario), scene_of(scenario)
+        travel = np.abs(run.leg_lengths - scene.hexapod.mid_lengths).max()
+        assert bool(travel > scene.stroke) is leaves
+
+
+def test_the_path_of_a_target_has_the_images_of_a_run() -> None:
+    """Of a base that moves and turns, with a target that moves too."""
+    keys = {
+        "target.frame": "world",
+        "target.motion": {"kind": "sinusoid", "amplitude": [2e-3, -1e-3, 3e-3], "frequency": 0.7},
+        "base_motion": {
+            "kind": "sinusoid",
+            "amplitude": [0.1, 0.2, -0.1],
+            "frequency": 1.1,
+            "rotation": {"kind": "sinusoid", "amplitude": [0.02, -0.03, 0.05], "frequency": 0.9},
+        },
+        "simulation.duration": 1.0,
+    }
+    scenario = hs.load_scenario("slow-camera").updated(keys)
+    scene, run = scene_of(scenario), hs.simulate(scenario)
+    path, poses = path_at(scene, run.time), Poses(run.position, run.quaternion)
+    expected = scene.desired - run.feature_error
+    np.testing.assert_allclose(scene.image(path.seen_alike(poses))[0], expected, rtol=0, atol=1e-7)
+    one = poses[5]
+    back = path.seen_alike(path.carried(one))
+    np.testing.assert_allclose(back.displacement_from(one.repeated(len(path))), 0.0, rtol=0, atol=1e-12)
+    for k in (0, 100, len(path) - 1):
+        moved = scenario.updated({"target.initial_features": None, "target.depth": None, "target.frame": "base",
+            "target.motion.kind": "none", "target.points": path.points(k, scene.points).tolist(),
+            "base_motion.kind": "none", "base_motion.rotation.kind": "none"})  # fmt: skip
+        found = scene_of(moved).image(Poses(run.position[k], run.quaternion[k]))[0]
+        np.testing.assert_allclose(found, expected[k], rtol=0, atol=1e-7)
+
+
+def test_pointing_on_a_base_that_turns(machine: hs.Scenario) -> None:
+    """The camera that points at a target in the world has the middle of the target where the goal has it."""
+    keys = {"controller.tracking.follow": "direction", "base_motion.amplitude": [0.01, 0.0, 0.0]}
+    turning = {"base_motion.rotation": {"kind": "sinusoid", "amplitude": [0.05, -0.05, 1.2], "frequency": 0.3}}
+    scene = scene_of(machine.updated({**IN_WORLD, **keys, **turning}))
+    path = path_of(scene)
+    image = scene.image(path.seen_alike(_pointed(scene, path)))[0]
+    middle = image.reshape(len(path), -1, 2).mean(axis=1)
+    np.testing.assert_allclose(middle - scene.desired.reshape(-1, 2).mean(axis=0), 0.0, rtol=0, atol=1e-6)
+
+
+def test_a_base_that_frames_show_as_something_else(machine: hs.Scenario) -> None:
+    keys = {"camera.period": 0.1, "base_motion.amplitude": [0.1, 0.0, 0.0], "base_motion.frequency": 10.0}
+    swinging = machine.updated({**IN_WORLD, **keys})
+    (line,) = about_target(swinging, "base_motion.frequency")
+    assert "the law does not see the motion" in line
+    assert about_target(swinging.updated({"target.frame": "base"}), "base_motion.frequency") == []

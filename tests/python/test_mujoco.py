@@ -256,6 +256,17 @@ def test_the_image_of_the_target(camera: str, size: list[int] | None) -> None:
     np.testing.assert_allclose(data.sensordata.reshape(4, 2), pixels, rtol=0, atol=1e-9)
 
 
+def test_sensors_are_half_a_pixel_beyond_the_pixels_of_a_principal_point() -> None:
+    """docs/bridges.md: MuJoCo counts from the image's corner, OpenCV from the centre of the first pixel."""
+    changes = {"camera.image_size": [1280, 960], "camera.principal_point": [639.5, 479.5], "camera.axes": "opencv"}
+    scenario = uneven().updated({"simulation.mode": "sampled", "camera.mount.rotation": [3.1, 0.1, 0.0], **changes})
+    model = mujoco_model(scenario, 1e-3)
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    np.testing.assert_allclose(data.sensordata - 0.5, hs.project(scenario, [0.0] * 6), rtol=0, atol=1e-9)
+
+
 def test_a_principal_point_off_the_centre_moves_the_frustum() -> None:
     """The border of the picture is where the calibration has it; MuJoCo keeps intrinsics in single precision."""
     size, focal, centre = np.array([1280, 960]), np.array([905.5, 903.0]), np.array([650.25, 470.75])

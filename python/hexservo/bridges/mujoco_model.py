@@ -79,9 +79,11 @@ def mjcf(scenario: Scenario) -> str:
         ``platform1`` to ``platform6``, ``target1`` and so on; tendons and actuators ``leg1`` to ``leg6``; of rotary
         legs bodies and joints ``crank1`` to ``crank6``, whose coordinates are the angles of the cranks [rad], after
         those of the platform; camera ``camera``; sensors ``image1`` and so on, the pixels of the target's points from
-        the top left corner of the image [px], where the principal point is the
-        centre of the image; keyframes ``home`` and ``start``, the start of the scenario's run, with the leg forces that
-        hold the platform there, or the commands at which the motors of position_torque give these.
+        the top left corner of the image [px], where the principal point is the centre of the image: OpenCV, and
+        hexservo where the scenario has a principal point, count from the centre of the first pixel, so subtract 0.5 for
+        pixels as `Controller.step` takes them; keyframes ``home`` and ``start``, the
+        start of the scenario's run, with the leg forces that hold the platform there, or the commands at which the
+        motors of position_torque give these.
 
     Raises
     ------

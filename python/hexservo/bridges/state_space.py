@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from hexservo.bridges.extras import extra
 from hexservo.findings.analysis.linear_law import linear_plant, rest_of
-from hexservo.findings.analysis.linear_loop import SampledLoop
 from hexservo.findings.analysis.loop_of_scenario import (
     LoopAtRest,
     clock_of,
     loop_at_rest,
+    loop_before_moving_target,
     quiet,
     require_forces,
+    side_of_target,
     with_features,
 )
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.laws import SMOOTH_KINDS
 from hexservo.scenario.scenario import Scenario, require_scenario
 from hexservo.scenario.wording import wrong_type
 
@@ -31,7 +30,11 @@ if TYPE_CHECKING:
 
 _AXES = ("x", "y", "z", "rx", "ry", "rz")
 _WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
-_INPUTS = (*(f"wrench_{axis}" for axis in _WRENCH), *(f"base_acceleration_{axis}" for axis in "xyz"))
+_INPUTS = (
+    *(f"wrench_{axis}" for axis in _WRENCH),
+    *(f"base_acceleration_{axis}" for axis in "xyz"),
+    *(f"target_{axis}" for axis in _AXES),
+)
 
 
 def control(scenario: Scenario, of: Literal["loop", "plant"] = "loop", *, sampled: bool | None = None) -> StateSpace:
@@ -60,9 +63,12 @@ def control(scenario: Scenario, of: Literal["loop", "plant"] = "loop", *, sample
     -------
     control.StateSpace
         Inputs ``wrench_fx`` ... ``wrench_mz`` [N; N m], beyond the weight, and ``base_acceleration_x`` ... [m/s^2], in
-        B, of a base that carries the target along. Outputs ``feature_1x``, ``feature_1y``, ... [px] and ``pose_x`` ...
+        B, of a base that carries the target along, and ``target_x`` ... ``target_rz`` [m; rad], displacement of the
+        target as a rigid body, in B, about the platform's origin at rest: of a camera on the platform ``pose`` is equal
+        to it where the features are at rest again. Outputs ``feature_1x``, ``feature_1y``, ... [px] and ``pose_x`` ...
         ``pose_rz`` [m; rad], displacement from rest in B. States begin with ``x_...`` (displacement) and ``v_...``
-        (twist); those of the loop go on with the fuzzy systems that learn, sensors, commands and frames under way.
+        (twist); those of the loop go on with the fuzzy systems that learn, sensors, commands and frames under way, each
+        with the sensors' error there where the law predicts.
 
     Raises
     ------
@@ -97,13 +103,15 @@ def control(scenario: Scenario, of: Literal["loop", "plant"] = "loop", *, sample
     c = np.zeros((len(rest.view.features) + 6, len(a)))
     c[:-6, :6] = rest.view.jacobian
     c[-6:, :6] = np.eye(6)
+    d = np.zeros((len(c), len(_INPUTS)))
+    d[:-6, -6:] = -side_of_target(scenario) * rest.view.jacobian
     points = len(rest.view.features) // 2
     outputs = [f"feature_{i}{axis}" for i in range(1, points + 1) for axis in "xy"] + [f"pose_{axis}" for axis in _AXES]
     return library.ss(
         a,
         b,
         c,
-        np.zeros((len(c), len(_INPUTS))),
+        d,
         dt,
         inputs=list(_INPUTS),
         outputs=outputs,
@@ -122,14 +130,14 @@ def _resting(scenario: Scenario) -> tuple[RestPose, LinearPlant, float]:
 
 
 def _disturbance(acceleration: Array) -> Array:
-    """Return the wrench of each input, (6, 9): an accelerating base acts as the weight of the actual inertia."""
+    """Return the wrench of each input but the target's, (6, 9): an accelerating base acts as a weight does."""
     return np.hstack([np.eye(6), -np.linalg.inv(acceleration)[:, :3]])
 
 
 def _plant(plant: LinearPlant) -> tuple[Array, Array]:
     a, b = np.zeros((12, 12)), np.zeros((12, len(_INPUTS)))
     a[:6, 6:] = np.eye(6)
-    b[6:] = plant.acceleration @ _disturbance(plant.acceleration)
+    b[6:, :-6] = plant.acceleration @ _disturbance(plant.acceleration)
     return a, b
 
 
@@ -137,24 +145,18 @@ def _held(a: Array, b: Array, tick: float) -> tuple[Array, Array]:
     return np.eye(12) + tick * a, tick * b + 0.5 * tick**2 * a @ b
 
 
-def _chosen(at_rest: LoopAtRest) -> SampledLoop:
-    smooth = at_rest.scenario.controller.switching.kind in SMOOTH_KINDS
-    loop = at_rest.smooth if smooth and at_rest.smooth is not None else at_rest.free
-    return replace(loop, disturbance=_disturbance(loop.acceleration))
-
-
 def _sampled_loop(at_rest: LoopAtRest) -> tuple[Array, Array, float]:
-    """Return the loop over a pattern of its clocks: disturbances are part of its state there."""
-    loop, clock = _chosen(at_rest), clock_of(at_rest.scenario)
-    whole = loop.pattern(clock)
-    inputs = np.zeros(len(whole), dtype=bool)
-    inputs[loop.disturbed] = True
-    return whole[np.ix_(~inputs, ~inputs)], whole[np.ix_(~inputs, inputs)], loop.seconds(clock)
+    loop, clock = (
+        loop_before_moving_target(at_rest, _disturbance(at_rest.free.acceleration)),
+        clock_of(at_rest.scenario),
+    )
+    return *loop.driven(clock), loop.seconds(clock)
 
 
 def _continuous_loop(at_rest: LoopAtRest) -> tuple[Array, Array, float]:
     """Return the loop whose law acts at every time: the limit of short ticks."""
-    loop, clock = _chosen(at_rest), clock_of(at_rest.scenario)
+    wrenches = _disturbance(at_rest.free.acceleration)
+    loop, clock = loop_before_moving_target(at_rest, wrenches), clock_of(at_rest.scenario)
     if not at_rest.as_if_sampled and (clock.period > 1 or clock.latency > 0 or loop.has_devices):
         raise ValueError(
             "sampled: expected True for a loop with latencies, periods or devices, got False; "
@@ -173,7 +175,13 @@ def _continuous_loop(at_rest: LoopAtRest) -> tuple[Array, Array, float]:
     a[2 * n :, n : 2 * n] = loop.drive_twist / loop.tick
     a[range(2 * n, 2 * n + m), range(2 * n, 2 * n + m)] = (loop.decay - 1.0) / loop.tick
     b = np.zeros((len(a), len(_INPUTS)))
-    b[n : 2 * n] = loop.acceleration @ _disturbance(loop.acceleration)
+    b[n : 2 * n, :-n] = loop.acceleration @ wrenches
+    by_target = [
+        side_of_target(at_rest.scenario) * ((part[:, n:] if part.shape[1] > n else 0.0) - part[:, :n])
+        for part in (loop.frame, loop.drive_frame)
+    ]
+    b[n : 2 * n, -n:] = loop.acceleration @ by_target[0]
+    b[2 * n :, -n:] = by_target[1] / loop.tick
     return a, b, 0.0
 
 

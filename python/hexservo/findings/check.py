@@ -17,9 +17,11 @@ from hexservo.findings.analysis.linear_law import (
     linear_plant,
     too_long_a_period,
 )
-from hexservo.findings.analysis.loop_of_scenario import NotApplicableError, quiet
+from hexservo.findings.analysis.loop_of_scenario import NotApplicableError, quiet, rates_without_mass
 from hexservo.findings.analysis.reach import reach_of_start_and_goal
 from hexservo.findings.analysis.scene import Scene, scene_of
+from hexservo.findings.check_base import of_base, of_drift
+from hexservo.findings.check_following import of_following
 from hexservo.findings.check_gains import of_gains
 from hexservo.findings.check_gate import of_gate
 from hexservo.findings.check_joints import of_joints
@@ -51,12 +53,14 @@ def unlikely(scenario: Scenario, *, by_law: bool = True) -> list[str]:
     Compares the weight at home with the force limits, home with the base, the stroke with the leg lengths, start and
     goal with stroke, joint limits and image, the start's twist with the speed limit, the principal point with the
     image, the points of the target with the noise (`of_points`), times of the camera and of the metrics with the
-    duration, the motions of base and target with what machines do (`of_motion`), the period of frames with what finds
+    duration, the recorded motions of base and target with what machines do (`of_motion`), tilt, rate and
+    acceleration of a base with vehicles and the force limits (`of_base`), the period of frames with what finds
     an unknown latency, the gate with the target's motion (`of_gate`), the way of a target with reach, image and frames
     (`of_target`), the machine with what is built (`of_machine`), limits and motors of legs that take positions
     with each other, duration and weight (`of_positions`), and in sampled mode the servo period with the loop of
     the gains, linearised at home with the switching term as in `linear_law`; gains with duration, servo rate, delays,
-    forces and noise (`of_gains`); the filter of `tracking` with the target's motion (`of_tracking`), what encoders read
+    forces and noise (`of_gains`); the filter of `tracking` with the target's motion (`of_tracking`), the linear loop of
+    other laws with it (`of_following`), what encoders read
     with the image and the fuzzy inputs (`of_joints`). Gains with which numbers of that loop overflow have a sentence
     that names it.
     Does not simulate.
@@ -72,20 +76,28 @@ def unlikely(scenario: Scenario, *, by_law: bool = True) -> list[str]:
     """
     scene = scene_of(scenario)
     sentences: list[str] = []
-    for check in (_of_legs, _of_drives, of_positions, of_machine, _of_goal, of_points, of_gate, of_target):
+    for check in (_of_legs, _of_drives, of_positions, of_machine, _of_goal, of_points, of_gate, of_target, of_base):
         sentences += _evaluated(check, scene)
     for of_scenario in (_of_image, _of_principal_point, _of_duration, _of_dropout, of_motion, _of_unknown_latency):
         sentences += _evaluated(of_scenario, scenario)
     return sentences + (
-        [sentence for of_law in (_of_rates, of_tracking, of_joints) for sentence in _evaluated(of_law, scene)]
+        [
+            sentence
+            for of_law in (_of_rates, of_tracking, of_following, of_joints)
+            for sentence in _evaluated(of_law, scene)
+        ]
         if by_law
         else []
     )
 
 
 def notes(scenario: Scenario) -> list[str]:
-    """Return a sentence for each key without effect, and one on what a prior leaves of the pose (`of_prior`)."""
-    return keys_without_effect(scenario) + _evaluated(of_prior, scene_of(scenario))
+    """Return a sentence for each key without effect, on what a prior leaves of the pose, and on a base's drift.
+
+    The last ones are those of `of_prior` and `of_drift`.
+    """
+    scene = scene_of(scenario)
+    return keys_without_effect(scenario) + _evaluated(of_prior, scene) + _evaluated(of_drift, scene)
 
 
 def _evaluated(check: Callable[[_T], Iterator[str]], of: _T) -> list[str]:
@@ -304,11 +316,9 @@ def fastest_rate(scene: Scene) -> float:
     controller = scene.scenario.controller
     if controller.traits.output == "pose":
         return 2.0 * math.pi * float(controller.gains.bandwidth)
+    if scene.scenario.moves_without_mass:
+        return _largest(lambda: rates_without_mass(scene.scenario, scene.home))
     calm = on_pinhole(quiet(scene.scenario))  # the linear law is of features
-    if calm.moves_without_mass:
-        weightless = calm.updated({"robot.gravity": [0.0, 0.0, 0.0]})  # the twist carries no weight
-        law = linear_law(weightless, scene_of(weightless), scene.home)
-        return _largest(lambda: np.asarray(np.linalg.solve(-law.twist, law.frame[:, :6] + law.pose)))
     law = linear_law(calm, scene_of(calm), scene.home, smooth=has_slope(scene.scenario))
     push = linear_plant(calm, scene.home).acceleration
 

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from hexservo.findings.analysis.scene import Scene
+from hexservo.findings.target_path import moving_keys, sinusoid_in_base
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.motion import TargetMotion, displacements_of
 from hexservo.scenario.parameters import frame_period
@@ -30,13 +31,14 @@ def of_gate(scene: Scene) -> Iterator[str]:
             "camera.gate: a point that has gone elsewhere is never found again without camera.timeout; set that to "
             "some frame periods beyond the latency"
         )
-    motion = moved_between_frames(scene.scenario.target.motion, frame_period(scene.scenario))
+    motion = moved_between_frames(sinusoid_in_base(scene.scenario), frame_period(scene.scenario))
     by_metre = scene.view(scene.home).jacobian[:, :3].reshape(-1, 2, 3)
     moved = float(np.linalg.norm(by_metre @ motion.T, axis=1).max(initial=0.0))
     if moved > camera.gate:
         yield (
-            f"camera.gate: {number(camera.gate)} px is less than the {number(moved)} px that target.motion moves the "
-            "image from frame to frame, so that right points count as lost; widen the gate"
+            f"camera.gate: {number(camera.gate)} px is less than the {number(moved)} px that "
+            f"{moving_keys(scene.scenario)[0]} moves the image from frame to frame, so that right points count as "
+            "lost; widen the gate"
         )
 
 

@@ -1,8 +1,7 @@
-"""Motions of base and target that are legal and probably unintended: recordings that hold something else."""
+"""Recorded motions of base and target that are legal and probably hold something else, and a base that is unseen."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -12,13 +11,11 @@ from hexservo.scenario.arrays import Array
 from hexservo.scenario.motion import BaseMotion, TargetMotion, moves
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario
-from hexservo.scenario.wording import number, quantity
+from hexservo.scenario.wording import number, quantity, vector
 
 # [m/s^2], of a base's recording: a vehicle that is at rest before and after has a mean of zero, and gravity is 9.8
 _MEAN_ACCELERATION = 2.0
 _FEWEST_PERIODS = 10  # of samples in a run: fewer are no motion, or times in other units
-_TILT = math.radians(45.0)  # of the base: more is seldom meant
-_RATE = 2.0  # [rad/s], of the base: more is seldom meant
 _ROUGH = 2.0  # factor by which an angular acceleration may grow from samples twice as far apart to all of them
 _FEWEST_ROUGH = 10  # attitudes from which that can be judged
 _LEAST_ROUGH = 0.1  # [rad/s^2], RMS, of an angular acceleration that matters
@@ -27,9 +24,8 @@ _LEAST_ROUGH = 0.1  # [rad/s^2], RMS, of an angular acceleration that matters
 def of_motion(scenario: Scenario) -> Iterator[str]:
     """Yield a sentence for each problem of the recorded motions of a scenario, and for a base whose motion is unseen.
 
-    Compares recordings with the duration of the run, the mean of recorded accelerations with gravity, recorded
-    attitudes and rates with those of vehicles in radians, and their angular acceleration with that of every second
-    sample.
+    Compares recordings with the duration of the run, the mean of recorded accelerations with gravity, and the angular
+    acceleration of recorded attitudes with that of every second sample.
     """
     base = scenario.base_motion
     yield from _of_times(scenario, "base_motion", base, "rests")
@@ -71,32 +67,19 @@ def _of_gravity(scenario: Scenario) -> Iterator[str]:
         return
     duration = len(between) * motion.sample_period
     yield (
-        f"base_motion.samples: their mean acceleration is {_vector(mean)} m/s^2, by which the base gains "
+        f"base_motion.samples: their mean acceleration is {vector(mean)} m/s^2, by which the base gains "
         f"{number(size * duration)} m/s in {quantity(duration, 's')}; check the signs and "
         "base_motion.frame_of_acceleration: at rest and level, specific_force has "
-        f"{_vector(-np.asarray(scenario.robot.gravity))} m/s^2 in the file, and kinematic has zero; forces that were "
+        f"{vector(-np.asarray(scenario.robot.gravity))} m/s^2 in the file, and kinematic has zero; forces that were "
         "read before robot.gravity was changed hold the difference"
     )
 
 
 def _of_turns(scenario: Scenario, attitudes: Array, period: float) -> Iterator[str]:
-    """Find degrees, other axes, and attitudes with so few digits that their second derivative is rounding."""
-    times = period * np.arange(len(attitudes))
-    _, turns, rate, change = _core.Probe(core_parameters(scenario)).base_motion(times)
-    tilt = float(np.arccos(np.clip(turns[:, 2, 2], -1.0, 1.0)).max())
-    fastest = float(np.linalg.norm(rate, axis=1).max())
-    if tilt > _TILT:
-        yield (
-            f"base_motion.attitudes: the base tilts by {number(tilt)} rad ({math.degrees(tilt):.0f} deg); check that "
-            "angles and rates in the file are in radians, and that z points as that of B does"
-        )
-    if fastest > _RATE:
-        yield (
-            f"base_motion.attitudes: the base turns by up to {number(fastest)} rad/s ({math.degrees(fastest):.0f} "
-            "deg/s); check that angles and rates in the file are in radians"
-        )
+    """Find attitudes with so few digits that their second derivative is rounding."""
     if len(attitudes) < _FEWEST_ROUGH:
         return
+    change = _core.Probe(core_parameters(scenario)).base_motion(period * np.arange(len(attitudes)))[3]
     whole, coarse = _rms(change), _rms(_coarse_acceleration(attitudes, period))
     if whole > max(_LEAST_ROUGH, _ROUGH * coarse):
         yield (
@@ -134,7 +117,3 @@ def _of_positions(scenario: Scenario) -> Iterator[str]:
             "whatever it takes; use actuators.kind: position_torque for motors that yield"
             f"{in_world if scenario.camera.mount.on == 'platform' else ''}"
         )
-
-
-def _vector(values: Array) -> str:
-    return f"({', '.join(map(number, values))})"

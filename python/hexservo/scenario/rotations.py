@@ -32,3 +32,24 @@ def unit_rotation_vectors(unit: Array) -> Array:
     sine = np.sqrt((unit[..., 1:] ** 2).sum(axis=-1, keepdims=True))
     half = np.arctan2(sine, unit[..., :1])
     return np.asarray(2.0 * unit[..., 1:] / np.sinc(half / np.pi))
+
+
+def quaternions_of_matrices(matrices: Array) -> Array:
+    """Return the quaternions (..., 4) of rotation matrices (..., 3, 3).
+
+    4 q q^T has sums and differences of the entries; its row with the largest diagonal is q but for a factor.
+    """
+    r = matrices
+    x, y, z = (r[..., i, i] for i in range(3))
+    turned = [r[..., 2, 1] - r[..., 1, 2], r[..., 0, 2] - r[..., 2, 0], r[..., 1, 0] - r[..., 0, 1]]
+    xy, xz, yz = (r[..., i, j] + r[..., j, i] for i, j in ((0, 1), (0, 2), (1, 2)))
+    rows = [
+        [1.0 + x + y + z, *turned],
+        [turned[0], 1.0 + x - y - z, xy, xz],
+        [turned[1], xy, 1.0 - x + y - z, yz],
+        [turned[2], xz, yz, 1.0 - x - y + z],
+    ]
+    outer = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    largest = np.diagonal(outer, axis1=-2, axis2=-1).argmax(axis=-1)
+    row = np.take_along_axis(outer, largest[..., None, None], axis=-2)[..., 0, :]
+    return np.asarray(row / np.linalg.norm(row, axis=-1, keepdims=True))

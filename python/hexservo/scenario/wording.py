@@ -95,6 +95,11 @@ def shown_unit(value: float, unit: str, digits: int = 3) -> tuple[str, float]:
     return f"{prefix}{unit}", scale
 
 
+def vector(values: Iterable[float]) -> str:
+    """Write numbers in parentheses: "(0, 0, -9.8)"."""
+    return f"({', '.join(map(number, values))})"
+
+
 def joules(value: float, digits: int = 4, unit: str = "J") -> str:
     """Write an energy [J], or a power with the unit W."""
     return quantity(value, unit, digits)

@@ -54,9 +54,11 @@ class SampledLoop:
                                                                     + drive_twist v
         x <- x + T v + T^2/2 a,  v <- v + T a,  a = acceleration (acting wrench)
 
-    Disturbances d are constant and part of the state: `disturbance` is the wrench of each beside the acting one.
+    Disturbances d are constant and part of the state: `disturbance` is the wrench of each beside the acting one, and
+    `target` the displacement that each gives to the target, by which a pose has to be displaced to see the same image.
 
-    f is x at the exposure (n,), and where it has 2n numbers then also the sensors' error there.
+    f is x at the exposure (n,), less that displacement, and where it has 2n numbers then also the sensors' error there:
+    by how far their pose is from the one that has the exposed image before a target that stays.
     """
 
     tick: float  # T, servo period [s]
@@ -74,6 +76,7 @@ class SampledLoop:
     actuation: Actuation = field(default_factory=Actuation)
     gain: float = 1.0  # factor on the proportional gains
     disturbance: Array | None = None  # (n, k) wrench of each of k disturbances; None: k = 0
+    target: Array | None = None  # (n, k) displacement of the target by each of the disturbances; None: 0
     by_eigenvalues: bool = False  # how growing modes are found with any number of frames under way
     _powers: dict[tuple[str, int], Array] = field(default_factory=dict, init=False, repr=False)
 
@@ -103,11 +106,6 @@ class SampledLoop:
     def size(self) -> int:
         """Size of the state at a tick, without the frames in transit."""
         return int(self._parts["f"].stop)
-
-    @property
-    def disturbed(self) -> slice:
-        """Where the disturbances are in the state."""
-        return self._parts["d"]
 
     @property
     def has_devices(self) -> bool:
@@ -210,9 +208,10 @@ class SampledLoop:
         """Return the content of a frame exposed now, (f, state)."""
         at, unit = self._parts, np.eye(self.size)
         x = unit[at["x"]]
+        seen_from = x if self.target is None else x - self.target @ unit[at["d"]]
         if self.frame.shape[1] == len(x):
-            return x
-        return np.vstack([x, unit[at["x_seen"]] - x if self._sensing else np.zeros_like(x)])
+            return seen_from
+        return np.vstack([seen_from, (unit[at["x_seen"]] if self._sensing else x) - seen_from])
 
     def pattern(self, clock: Clock) -> Array:
         """Monodromy matrix: the state over the least pattern of all clocks, with the frames under way.
@@ -230,6 +229,13 @@ class SampledLoop:
             whole = np.delete(whole, slice(size, size + wide), axis=0)
             whole[:size] = self._passage(begin + rest, begin + clock.period) @ whole[:size]
         return whole
+
+    def driven(self, clock: Clock) -> tuple[Array, Array]:
+        """Return the pattern without the disturbances in its state, and what constant ones add to that, (m, k)."""
+        whole = self.pattern(clock)
+        inputs = np.zeros(len(whole), dtype=bool)
+        inputs[self._parts["d"]] = True
+        return whole[np.ix_(~inputs, ~inputs)], whole[np.ix_(~inputs, inputs)]
 
     def seconds(self, clock: Clock) -> float:
         """Duration of the pattern [s]."""

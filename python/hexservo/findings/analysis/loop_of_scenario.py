@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -19,11 +19,13 @@ from hexservo.findings.analysis.linear_law import (
     rest_of,
 )
 from hexservo.findings.analysis.linear_loop import Actuation, Clock, SampledLoop
+from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import ALL_AXES, AT_HOME, AT_REST, scene_of
 from hexservo.run.simulation import simulate, uninterrupted
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.fitted import gains_written
 from hexservo.scenario.keys import value_at
+from hexservo.scenario.laws import SMOOTH_KINDS
 from hexservo.scenario.parameters import frame_period, reading_ticks
 from hexservo.scenario.pixels import on_pinhole
 from hexservo.scenario.scenario import Scenario
@@ -193,18 +195,61 @@ def loop_with_weights(at_rest: LoopAtRest, weights: Array, *, smooth: bool) -> S
     return _loop(calm, law, linear_plant(calm, pose))
 
 
-def _loop(scenario: Scenario, law: LinearLaw, plant: LinearPlant) -> SampledLoop:
+def loop_before_moving_target(at_rest: LoopAtRest, wrenches: Array) -> SampledLoop:
+    """Return the linear loop of a scenario with disturbances: wrenches, and after them displacements of the target.
+
+    K_v acts with its slope where the switching term has one at rest, else it is zero. A law that predicts takes the
+    sensors' pose at an exposure for the one that shows that image, so that a target's displacement is an error of it.
+
+    Parameters
+    ----------
+    at_rest
+        Of the scenario.
+    wrenches
+        Of the first k disturbances, (6, k). The last six displace the target as a rigid body, in B, about the
+        platform's origin at rest [m; rad].
+    """
+    calm, pose = at_rest.scenario, at_rest.rest.view.pose
+    smooth = at_rest.smooth is not None and calm.controller.switching.kind in SMOOTH_KINDS
+    loop = _loop(calm, linear_law(calm, scene_of(calm), pose, smooth=smooth), linear_plant(calm, pose), whole=True)
+    target = np.hstack([np.zeros_like(wrenches), side_of_target(calm) * np.eye(6)])
+    return replace(loop, disturbance=np.hstack([wrenches, np.zeros((6, 6))]), target=target)
+
+
+def rates_without_mass(scenario: Scenario, pose: Poses) -> Array:
+    """Return the twist (6,) at which a law moves a platform without mass, by its displacement from a pose, (6, 6).
+
+    Raises
+    ------
+    NoRestError
+        Where the law cannot be evaluated there.
+    NotApplicableError
+        Where the camera's times are no whole numbers of ticks.
+    """
+    calm = on_pinhole(quiet(scenario)).updated({"robot.gravity": [0.0, 0.0, 0.0]})  # the twist carries no weight
+    law = linear_law(calm, scene_of(calm), pose)
+    return np.asarray(np.linalg.solve(-law.twist, law.frame[:, :6] + law.pose))
+
+
+def side_of_target(scenario: Scenario) -> float:
+    """Return 1 where a displaced target is seen as from a pose displaced against it, -1 for a camera on the base."""
+    return 1.0 if scenario.camera.mount.on == "platform" else -1.0
+
+
+def _loop(scenario: Scenario, law: LinearLaw, plant: LinearPlant, *, whole: bool = False) -> SampledLoop:
     tick, sensors = scenario.simulation.step, scenario.sensors
     encoders, reading = sensors.pose == "encoders", reading_ticks(scenario)
+    # with a reading at every tick the sensors do not err, before a target that stays
+    columns = slice(None) if whole or reading > 1 else slice(6)
     return SampledLoop(
         tick=tick,
         acceleration=plant.acceleration,
-        frame=law.frame if reading > 1 else law.frame[:, :6],  # with a reading at every tick the sensors do not err
+        frame=law.frame[:, columns],
         pose=law.pose,
         twist=law.twist,
         axes=law.axes,
         decay=law.decay,
-        drive_frame=law.drive_frame if reading > 1 else law.drive_frame[:, :6],
+        drive_frame=law.drive_frame[:, columns],
         drive_pose=law.drive_pose,
         drive_twist=law.drive_twist,
         reading=reading,

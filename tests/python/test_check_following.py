@@ -1,0 +1,84 @@
+"""Warnings about targets that laws of the image, of the pose or of a twist follow farther behind than the band."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hexservo as hs
+from hexservo.findings.analysis.scene import scene_of
+from hexservo.findings.check import unlikely
+
+
+def said(scenario: hs.Scenario) -> list[str]:
+    return [line for line in unlikely(scenario) if "by its linear loop" in line]
+
+
+def sinusoid(amplitude: list[float], frequency: float) -> dict[str, Any]:
+    return {"target.motion": {"kind": "sinusoid", "amplitude": amplitude, "frequency": frequency}}
+
+
+def left_late(scenario: hs.Scenario) -> float:
+    """Return the largest feature error in the second half of a run [px]."""
+    run = hs.simulate(scenario)
+    return float(np.abs(run.feature_error[run.time >= 0.5 * run.time[-1]]).max())
+
+
+TIME = np.arange(0.0, 6.05, 0.05)[:, None]
+RECORDED = np.hstack([0.008 * np.sin(4.0 * TIME), 0.004 * np.sin(7.0 * TIME), 0.0 * TIME]).tolist()
+WORLD = {"target.frame": "world", "base_motion.kind": "sinusoid"}
+STEADY = {"target.motion": {"kind": "velocity", "velocity": [0.008, 0.0, 0.0]}}
+BY_PBVS = {"controller.law": "pbvs"}
+MOTIONS: list[tuple[str, dict[str, Any]]] = [
+    ("composite-30hz", sinusoid([0.005, 0.0, 0.0], 5.0)),
+    ("composite-30hz", {**BY_PBVS, **sinusoid([0.004, 0.0, -0.003], 2.0)}),
+    ("composite-30hz", {**BY_PBVS, "camera.prediction": "none", **sinusoid([0.004, 0.0, -0.003], 2.0)}),
+    ("slow-camera", {"target.motion": {"kind": "recorded", "samples": RECORDED, "sample_period": 0.05}}),
+    ("slow-camera", {**WORLD, "base_motion.amplitude": [0.0, 2.0, 0.0], "base_motion.frequency": 2.0}),
+    ("real-machine", {"base_motion.kind": "none", **sinusoid([0.0, 0.004, 0.003], 2.0)}),
+    ("pi-h824-positions", {**BY_PBVS, **sinusoid([0.002, 0.0, 0.001], 1.0)}),
+    ("pi-h824-positions", {**BY_PBVS, "camera.latency": 0.12, **sinusoid([0.002, 0.0, 0.001], 0.5)}),
+    ("pi-h824-positions", {"controller.law": "resolved_rate", **sinusoid([0.0, 0.002, 0.001], 0.5)}),
+    ("pi-h824-positions", {**BY_PBVS, **STEADY, "simulation.duration": 2.4}),
+]
+
+
+@pytest.mark.parametrize(("name", "changes"), MOTIONS)
+def test_what_is_left_is_within_a_fifth_of_a_run(name: str, changes: dict[str, Any]) -> None:
+    scenario = hs.load_scenario(name).updated({"simulation.duration": 6.0, **changes})
+    (line,) = said(scenario)
+    (found,) = re.findall(r"leaves up to about ([\d.]+) px of such a motion", line)
+    assert float(found) == pytest.approx(left_late(scenario), rel=0.2)
+    assert line.startswith("base_motion: " if "base_motion.amplitude" in changes else "target.motion: ")
+
+
+@pytest.mark.parametrize(("name", "changes"), MOTIONS)
+def test_smaller_motions_are_left_within_the_band(name: str, changes: dict[str, Any]) -> None:
+    """A band that is a fourth wider than what is left in a run has no warning, and one a fourth narrower has one."""
+    scenario = hs.load_scenario(name).updated({"simulation.duration": 6.0, **changes})
+    left = left_late(scenario)
+    assert said(scenario.updated({"metrics.band": 1.25 * left})) == []
+    assert len(said(scenario.updated({"metrics.band": 0.75 * left}))) == 1
+
+
+def test_a_loop_that_amplifies_the_motion() -> None:
+    scenario = hs.load_scenario("slow-camera").updated(sinusoid([0.008, 0.0, 0.0], 2.0))
+    (line,) = said(scenario)
+    (left, still) = map(float, re.findall(r"about ([\d.]+) px of .* would have ([\d.]+) px: the loop", line)[0])
+    assert left > still
+    assert "higher bandwidth" not in line
+    points = scene_of(scenario).view(scene_of(scenario).start).jacobian[:, 0]
+    assert still == pytest.approx(0.008 * np.abs(points).max(), rel=0.2)  # the goal is nearly as far away
+
+
+def test_what_does_not_move_is_not_said() -> None:
+    scenario = hs.load_scenario("composite-30hz")
+    shaken = {"base_motion.kind": "sinusoid", "base_motion.amplitude": [2.0, 0.0, 0.0]}
+    for changes in ({}, shaken, {**shaken, "base_motion.rotation.kind": "sinusoid"}):
+        assert said(scenario.updated(changes)) == []
+    moving = scenario.updated(MOTIONS[0][1])
+    assert [line for line in unlikely(moving, by_law=False) if "linear loop" in line] == []
+    assert said(hs.load_scenario("pi-h824-positions").updated(sinusoid([0.002, 0.0, 0.001], 1.0))) == []
