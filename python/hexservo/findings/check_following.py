@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -48,7 +49,7 @@ def of_following(scene: Scene, gains: Tracking) -> Iterator[str]:
         return
     free: dict[str, Any] = {key: None for key in LIMITS if value_at(scene.scenario, key) is not None}
     (now,) = following.left()
-    if now <= max(scene.band, _MOVED * following.resting):
+    if not _matters(following, now):
         return
     remedies: list[_Remedy] = []
     for settings in _settings(scene, gains):  # more of them where those before leave more than the band
@@ -69,11 +70,16 @@ def of_following(scene: Scene, gains: Tracking) -> Iterator[str]:
 def of_limits(scene: Scene) -> Iterator[str]:
     """Yield a sentence for a steady target that takes more of the legs than their limits allow."""
     following = following_of(scene)
-    if following is None or not (beyond := _beyond(following)):
+    if following is None or not following.within_reach or not (beyond := _beyond(following)):
         return
     now, free = following.left([{}, dict.fromkeys(LIMITS)])
-    if now > max(scene.band, _MOVED * following.resting):
+    if _matters(following, now):
         yield _of_limits(following, now, free, None, beyond)
+
+
+def _matters(following: Following, now: float) -> bool:
+    """Return whether an error [px] is beyond the band, and of the motion; a run that ends early is no matter of it."""
+    return max(following.scene.band, _MOVED * following.resting) < now < math.inf
 
 
 def noise_helps(scene: Scene, noise: float) -> bool:
