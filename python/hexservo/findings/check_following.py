@@ -48,7 +48,7 @@ def of_following(scene: Scene, gains: Tracking) -> Iterator[str]:
     if following is None or not following.within_reach:  # `check_target` names what is out of reach or sight
         return
     free: dict[str, Any] = {key: None for key in LIMITS if value_at(scene.scenario, key) is not None}
-    (now,) = following.left()
+    now = following.now
     if not _matters(following, now):
         return
     remedies: list[_Remedy] = []
@@ -72,9 +72,8 @@ def of_limits(scene: Scene) -> Iterator[str]:
     following = following_of(scene)
     if following is None or not following.within_reach or not (beyond := _beyond(following)):
         return
-    now, free = following.left([{}, dict.fromkeys(LIMITS)])
-    if _matters(following, now):
-        yield _of_limits(following, now, free, None, beyond)
+    if _matters(following, following.now):
+        yield _of_limits(following, following.now, following.left([dict.fromkeys(LIMITS)])[0], None, beyond)
 
 
 def _matters(following: Following, now: float) -> bool:
@@ -85,10 +84,7 @@ def _matters(following: Following, now: float) -> bool:
 def noise_helps(scene: Scene, noise: float) -> bool:
     """Return whether runs in which the filter assumes that noise [px] leave less of a moving target's error."""
     following = following_of(scene)
-    if following is None:
-        return False
-    now, less = following.left([{}, {NOISE: noise}])
-    return less < _HELPS * now
+    return following is not None and following.left([{NOISE: noise}])[0] < _HELPS * following.now
 
 
 def less_noise(scene: Scene, gains: Tracking) -> float | None:
@@ -211,7 +207,7 @@ def _slower(following: Following, now: float, factor: float) -> list[str]:
         slower = {"sample_period": motion.sample_period / factor}
         what = f"a target.motion.sample_period of {quantity(slower['sample_period'], 's')}"
     again = following_of(scene_of(scenario.updated({f"target.motion.{key}": value for key, value in slower.items()})))
-    left = now if again is None else again.left()[0]
+    left = now if again is None else again.left([{}])[0]
     return [f"{what} leaves about {number(left, 2)} px"] if left < _HELPS * now else []
 
 

@@ -24,7 +24,7 @@ from hexservo.scenario.yaml import ScenarioError
 CERTAINTY, BANDWIDTH, NOISE = (f"controller.tracking.{key}" for key in ("certainty", "bandwidth", "noise"))
 LIMITS = ("actuators.position.speed_limit", "actuators.position.acceleration_limit")
 
-_RUNS = 2  # with different noise, whose largest errors are averaged
+_RUNS = 4  # with different noise
 _LONGEST = 20.0  # [s] of a motion that are looked at
 _PERIODS = 3.0  # of a sinusoid, after the beginning
 _BEGINNING = 3.0  # [s], until the filter is as after many frames
@@ -88,8 +88,15 @@ class Following:
             changes = np.diff(displacements_of(motion, np.arange(0.0, self._duration, period)), n=2, axis=0) / period**2
         return self._of_legs(moved), self._of_legs(changes)
 
-    def left(self, settings: Sequence[Mapping[str, Any]] = ({},)) -> list[float]:
-        """Return the largest error with each of some settings [px], as the mean of runs; inf where one ends early.
+    @cached_property
+    def now(self) -> float:
+        """Return the largest error of a run with the settings of the scenario [px], the median of runs."""
+        return float(np.median(self._runs({}, ({},))))
+
+    def left(self, settings: Sequence[Mapping[str, Any]]) -> list[float]:
+        """Return the largest error of some runs with each of some settings [px]; inf where one ends early.
+
+        So what is less than a share of `now` hardly is by chance.
 
         Parameters
         ----------
@@ -102,22 +109,22 @@ class Following:
             groups.setdefault(repr(_beside_gains(changes)), []).append(index)
         for indices in groups.values():
             alike = [settings[index] for index in indices]
-            for index, error in zip(indices, self._runs(_beside_gains(alike[0]), alike), strict=True):
-                found[index] = float(error)
+            for index, errors in zip(indices, self._runs(_beside_gains(alike[0]), alike), strict=True):
+                found[index] = float(errors.max())
         return found
 
     def _runs(self, others: Mapping[str, Any], settings: Sequence[Mapping[str, Any]]) -> Array:
-        """Return the errors (n,) [px] of settings of the law, with changes of other keys; inf where refused."""
+        """Return the errors (n, runs) [px] of settings of the law, with changes of other keys; inf where refused."""
         try:
             scenario = self.scenario.updated(dict(others))
         except ScenarioError:
-            return np.full(len(settings), np.inf)
+            return np.full((len(settings), _RUNS), np.inf)
         variations = {
             key: np.repeat([float(changes.get(key, value_at(scenario, key))) for changes in settings], _RUNS)
             for key in (CERTAINTY, BANDWIDTH, NOISE)
         }
         batch = _run(scenario, {**variations, "seed": np.tile(_seeds(scenario), len(settings))})
-        return np.asarray(_largest(self.scene, batch, self.since).reshape(-1, _RUNS).mean(axis=1))
+        return _largest(self.scene, batch, self.since).reshape(-1, _RUNS)
 
     @property
     def _duration(self) -> float:
@@ -162,7 +169,7 @@ def following_of(scene: Scene) -> Following | None:
         return None
     rest = Poses(*(before.samples[name][0, -1] for name in ("position", "quaternion")))
     start = {"simulation.start.pose": rest.displacement_from(scene.home).tolist(), "simulation.start.twist": [0.0] * 6}
-    return Following(scene, moving.updated({**start, "simulation.log_every": 1}), rest, float(resting.mean()))
+    return Following(scene, moving.updated({**start, "simulation.log_every": 1}), rest, float(np.median(resting)))
 
 
 def _thus_long(scenario: Scenario) -> Scenario:
