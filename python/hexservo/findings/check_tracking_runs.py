@@ -9,7 +9,7 @@ from typing import Any
 
 from hexservo.findings.analysis.scene import Scene, scene_of
 from hexservo.findings.check_gains import OF_SERVO_RATE
-from hexservo.findings.following import BANDWIDTH, CERTAINTY, LIMITS, NOISE, Following, following_of
+from hexservo.findings.tracking_runs import BANDWIDTH, CERTAINTY, LIMITS, NOISE, Following, following_of
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.laws import Tracking
 from hexservo.scenario.wording import number, quantity
