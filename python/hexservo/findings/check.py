@@ -63,7 +63,7 @@ def unlikely(scenario: Scenario, *, by_law: bool = True) -> list[str]:
     other laws with it (`of_following`), what encoders read
     with the image and the fuzzy inputs (`of_joints`). Gains with which numbers of that loop overflow have a sentence
     that names it.
-    Does not simulate.
+    Simulates nothing but how `tracking` follows a target in motion (`of_following`), in a second or some.
 
     Parameters
     ----------

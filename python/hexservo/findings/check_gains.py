@@ -24,7 +24,7 @@ from hexservo.scenario.pixels import feature_noise
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import apart, below, number, quantity, shown_unit
 
-_OF_SERVO_RATE = 0.25  # share of it that a bandwidth may have
+OF_SERVO_RATE = 0.25  # share of it that a bandwidth may have
 _OF_RUN = 0.1  # periods of the bandwidth that a run must have at least
 _SLOW = 0.5  # of the bandwidth: motions below it are slow
 _LEFT = 0.02  # share of the image error that may be slow, or stay
@@ -184,7 +184,7 @@ def share_of_restarts(scenario: Scenario, law: str, assumed: float | None = None
 
 def _of_times(scenario: Scenario, key: str, bandwidth: float) -> Iterator[str]:
     step = scenario.simulation.step
-    most = _OF_SERVO_RATE / step
+    most = OF_SERVO_RATE / step
     if bandwidth > most * _ROUNDING:
         what = "servo period" if scenario.simulation.mode == SAMPLED_MODE else "step"
         above = _out_of_bound(key, "above", bandwidth, most)

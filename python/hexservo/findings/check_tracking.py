@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
@@ -14,8 +13,8 @@ from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.analysis.words import AXES
 from hexservo.findings.check_gains import SELDOM, share_of_restarts
 from hexservo.findings.check_gate import moved_between_frames
+from hexservo.findings.check_tracking_runs import less_noise, noise_helps, of_following, of_limits
 from hexservo.findings.target_line import Piece, SteadyFilter, longest_behind, steady_line
-from hexservo.findings.target_swing import FollowingLoop, Swing
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.laws import Tracking
 from hexservo.scenario.parameters import frame_period
@@ -25,13 +24,9 @@ from hexservo.scenario.wording import number, quantity
 _TIMES = 1.5  # the noise that the filter assumes, above which what it sees looks like motion
 _ASSUMED = 2.75  # times that noise, up to which assuming more made runs quieter; from 3 times on it made them worse
 _STEPPED = 5.0  # times the rounding in the image that runs had at most, where the filter follows it
-_ROUNDING = 1.0 + 1e-9
-_HELPS = 0.8  # of an error that a change has to leave at most, to be named
-_ROUNDS = 4  # in which the filter and the platform's speed that it bears are found
-_FEW_FRAMES = 0.25  # periods of a swing from frame to frame, above which they show it as another one
+_FEW_FRAMES = 0.5  # periods of a sinusoid from frame to frame, from which on they show it as another motion
 _REMEMBERED = 200.0  # frames, by the line
 ABOVE = 3.0  # deviations that a band should hold
-_PHASES = 16  # of a swing, over which that is averaged
 _WHOLE = 2.0  # times the speed from which a velocity counts: 1 - 1/2^4 of it does
 
 
@@ -76,52 +71,52 @@ def _of_motion(scene: Scene, gains: Tracking) -> Iterator[str]:
     """Find a target whose velocity does not count, or not whole, so that the law follows behind it."""
     scenario = scene.scenario
     motion = scenario.target.motion
-    of_pose = gains.follow == "pose"
     if motion.kind == "none":
         return
     period = frame_period(scenario)
     velocities = moved_between_frames(motion, period) / period
-    speeds = np.linalg.norm(velocities, axis=1)
-    moving = velocities[speeds > 0.0]
-    if not len(moving):
+    fastest = velocities[int(np.argmax(np.linalg.norm(velocities, axis=1)))]
+    if not fastest.any():
         return
     if period > _core.LONGEST_PREDICTION:
-        yield from _of_rare_frames(scene, gains, velocities[int(np.argmax(speeds))])
-        return
-    if of_pose and motion.kind == "sinusoid":
-        yield from _of_swing(scene, gains)
-        return
+        yield from _of_rare_frames(scene, gains, fastest)
+    elif motion.kind == "velocity":
+        limits = list(of_limits(scene))
+        yield from limits or _of_steady(scene, gains, fastest)
+    elif motion.kind != "sinusoid" or motion.frequency * period < _FEW_FRAMES:  # `check_target` names what more show
+        yield from of_following(scene, gains)
+
+
+def _of_steady(scene: Scene, gains: Tracking, velocity: Array) -> Iterator[str]:
+    """Find a constant velocity (3,) [m/s] that does not count, or of a direction not whole."""
+    of_pose, period, speed = gains.follow == "pose", frame_period(scene.scenario), float(np.linalg.norm(velocity))
     filtered = steady_filter(scene, gains)
-    times = filtered.in_deviations(moving, filtered.velocity) / (gains.certainty * math.sqrt(filtered.axes) or 1e-300)
-    best = int(np.argmax(times))
-    if times[best] >= (1.0 if of_pose else _WHOLE):
+    deviations = float(filtered.in_deviations(velocity[None], filtered.velocity)[0])
+    times = deviations / (gains.certainty * math.sqrt(filtered.axes) or 1e-300)
+    if times >= (1.0 if of_pose else _WHOLE):
         return
     if of_pose:
-        steady = motion.kind == "velocity"
-        if steady:
-            pixels = _behind_steady(scene, gains, filtered, moving[best])
-        else:
-            pixels = _behind(scene, gains, filtered, moving[best], float(speeds.max()))
+        pixels = _behind_steady(scene, gains, filtered, velocity)
         if pixels <= scene.band:
             return
-        ends = (
-            f"with frames of {quantity(period, 's')} a line may end before its velocity counts, and " if steady else ""
+        until = (
+            f"with frames of {quantity(period, 's')} a line may end before its velocity counts, and the target is "
+            f"followed in pieces of straight lines, up to about {number(pixels, 2)} px behind"
         )
-        until = f"{ends}the target is followed in pieces of straight lines, up to about {number(pixels, 2)} px behind"
     else:
         until = (
             "the mean of earlier frames is followed, behind the target, and up to twice that speed a part of its "
             "velocity is missing"
         )
-    counts = float(np.linalg.norm(moving[best])) / float(times[best])
-    less_noise = "controller.tracking.noise to that of the features, or "
-    remedy = less_noise if _assumes_more(scene, gains) else "controller.tracking."
+    noise = less_noise(scene, gains)
+    helps = noise is not None and noise_helps(scene, noise)
+    remedy = f"controller.tracking.noise to {number(noise or 0.0)} px, that of the features, or " if helps else ""
     yield (
-        f"controller.tracking.certainty: target.motion moves the target at up to {quantity(speeds.max(), 'm/s')}, "
-        f"and the velocity of the law's filter counts from about {quantity(counts, 'm/s')} on, where it is "
+        f"controller.tracking.certainty: target.motion moves the target at up to {quantity(speed, 'm/s')}, "
+        f"and the velocity of the law's filter counts from about {quantity(speed / times, 'm/s')} on, where it is "
         f"certainty ({number(gains.certainty)}) times what noise of {number(gains.noise)} px leaves in it, and while "
-        f"the platform follows from up to three times that on: until then {until}; set {remedy}certainty to 0, "
-        "with which every velocity counts"
+        f"the platform follows from up to three times that on: until then {until}; set "
+        f"{remedy or 'controller.tracking.'}certainty to 0, with which every velocity counts"
     )
 
 
@@ -158,79 +153,6 @@ def off_reference(scene: Scene, gains: Tracking) -> Array:
     return np.asarray(reading / _REMEMBERED * math.sqrt(max(frames, 1.0) / 2.0))
 
 
-def _of_swing(scene: Scene, gains: Tracking) -> Iterator[str]:
-    """Find a sinusoid that is followed farther behind than the band, and what helps."""
-    motion, band = scene.scenario.target.motion, scene.band
-    if motion.frequency * frame_period(scene.scenario) > _FEW_FRAMES:  # `check_target` names what these show
-        return
-    whole = swing_of(scene, gains)
-    least = whole.behind()
-    pieces = swing_of(scene, gains, counted=False)
-    in_pieces = pieces.counts < _WHOLE * gains.certainty
-    left_now = pieces.in_pieces() if in_pieces else least
-    if left_now <= band:
-        return
-    helps = in_pieces and least < _HELPS * min(left_now, pieces.behind(0.0))
-    still = whole.of_target
-    swings = f"target.motion moves the features by up to {number(still, 2)} px at {number(motion.frequency)} Hz"
-    left = f"about {number(least, 2)} px of that are left, beside noise"
-    if least > still:
-        left = (
-            f"about {number(least, 2)} px are left: a platform that stands still would have {number(still, 2)} px, "
-            "since the law predicts by the velocity, which changes sooner"
-        )
-    if helps:
-        less_noise = "controller.tracking.noise to that of the features, or " if _assumes_more(scene, gains) else ""
-        yield (
-            f"controller.tracking.certainty: {swings}, and not all of the velocity of the law's filter counts, since "
-            f"noise of {number(gains.noise)} px leaves much in it: the target is followed in pieces of straight lines, "
-            f"and the error may exceed metrics.band, {number(band)} px; set {less_noise or 'controller.tracking.'}"
-            f"certainty to 0, with which every velocity counts, and {left}"
-        )
-    elif least > band:
-        faster = replace(whole, loop=replace(whole.loop, bandwidth=2.0 * gains.bandwidth))
-        remedy = "a larger controller.tracking.bandwidth, " if faster.behind() < _HELPS * least else ""
-        yield (
-            f"target.motion.frequency: {swings}; even where every velocity counts {left}. metrics.band is "
-            f"{number(band)} px; {remedy}a shorter latency or a slower motion leaves less"
-        )
-
-
-def swing_of(scene: Scene, gains: Tracking, *, counted: bool = True) -> Swing:
-    """Return how a target that swings is followed, where the filter bears what the platform's own motion leaves.
-
-    Parameters
-    ----------
-    scene
-        Of a scenario with a sinusoid and the law's pose.
-    gains
-        Of the law.
-    counted
-        Whether every velocity counts, by which the platform moves.
-    """
-    motion, position = scene.scenario.target.motion, scene.scenario.actuators.position
-    w = 2.0 * math.pi * position.bandwidth
-    loop = FollowingLoop(
-        frame_period(scene.scenario), _late(scene), gains.bandwidth, 2.0 * position.damping / w, w**-2, gains.lead,
-        gains.feedback,
-    )  # fmt: skip
-    goals = find_goals(scene)
-    view = scene.view(scene.start) if goals is None else goals.best.view
-
-    def swing(speed: float) -> Swing:
-        filtered = steady_filter(scene, gains, speed)
-        return Swing(filtered, loop, np.asarray(motion.amplitude, dtype=float), motion.frequency, view.jacobian)
-
-    found = swing(0.0)
-    for _ in range(_ROUNDS):
-        found = swing(found.speed(1.0 if counted else 0.0))
-    return found
-
-
-def _assumes_more(scene: Scene, gains: Tracking) -> bool:
-    return gains.noise > _ROUNDING * scene.image_noise
-
-
 def _of_rare_frames(scene: Scene, gains: Tracking, velocity: Array) -> Iterator[str]:
     """Find a target that is followed by the place of its last frame alone, as the filter begins again with each."""
     period, speed = frame_period(scene.scenario), float(np.linalg.norm(velocity))
@@ -246,18 +168,6 @@ def _of_rare_frames(scene: Scene, gains: Tracking, velocity: Array) -> Iterator[
         f"place of the last frame is followed, up to about {number(pixels, 2)} px "
         f"behind; take frames at most {longest} apart, or another law"
     )
-
-
-def _behind(scene: Scene, gains: Tracking, filtered: SteadyFilter, velocity: Array, speed: float) -> float:
-    """Return how far behind a slow target that does not move steadily is followed at most, about [px].
-
-    In pieces of straight lines: by what the filter may be off its line, one frame's way at least, and by the lag of
-    the reference, which starts again with every piece.
-    """
-    ahead = velocity / np.linalg.norm(velocity)
-    off_line = filtered.off_line / float(filtered.in_deviations(ahead[None], filtered.place)[0])
-    lag = speed / (math.pi * gains.bandwidth)
-    return (max(off_line, speed * frame_period(scene.scenario)) + lag) * _pixels_of(scene, ahead)
 
 
 def _behind_steady(scene: Scene, gains: Tracking, filtered: SteadyFilter, velocity: Array) -> float:
@@ -280,7 +190,7 @@ def _pixels_of(scene: Scene, shift: Array) -> float:
     return float(np.abs(scene.view(scene.start).jacobian[:, :3] @ shift).max())
 
 
-def steady_filter(scene: Scene, gains: Tracking, speed: float = 0.0) -> SteadyFilter:
+def steady_filter(scene: Scene, gains: Tracking) -> SteadyFilter:
     """Return the law's filter before the goal, or of a direction at the start, after many frames.
 
     Parameters
@@ -289,16 +199,9 @@ def steady_filter(scene: Scene, gains: Tracking, speed: float = 0.0) -> SteadyFi
         Of the scenario.
     gains
         Of the law.
-    speed
-        Of a platform that swings [m/s], the largest: a pose of an exposure may be off by its way in a servo period.
-        What a frame gives is the mean of the information over the swing.
     """
     period = frame_period(scene.scenario)
     variance = gains.noise**2 * _variance_per_pixel(scene, gains)
-    if speed > 0.0:
-        way = speed * scene.scenario.simulation.step
-        off = np.square(way * np.cos(np.pi * (np.arange(_PHASES) + 0.5) / _PHASES))[:, None, None]
-        variance = np.linalg.inv(np.linalg.inv(variance + off * np.diag([1.0] * 3 + [0.0] * 3)).mean(axis=0))
     acceleration = np.broadcast_to(np.asarray(gains.acceleration, dtype=float), 6)[: len(variance)]
     of_modes, modes = np.linalg.eigh(variance / np.outer(acceleration, acceleration))
     reading = np.sqrt(of_modes)
