@@ -20,6 +20,7 @@ from hexservo.findings.analysis.linear_law import (
 from hexservo.findings.analysis.loop_of_scenario import NotApplicableError, quiet
 from hexservo.findings.analysis.reach import reach_of_start_and_goal
 from hexservo.findings.analysis.scene import Scene, scene_of
+from hexservo.findings.check_brake import of_brake
 from hexservo.findings.check_gains import of_gains
 from hexservo.findings.check_gate import of_gate
 from hexservo.findings.check_joints import of_joints
@@ -84,8 +85,14 @@ def unlikely(scenario: Scenario, *, by_law: bool = True) -> list[str]:
 
 
 def notes(scenario: Scenario) -> list[str]:
-    """Return a sentence for each key without effect, and one on what a prior leaves of the pose (`of_prior`)."""
-    return keys_without_effect(scenario) + _evaluated(of_prior, scene_of(scenario))
+    """Return a sentence for each key without effect, on what a prior leaves of the pose (`of_prior`), and on the brake.
+
+    The brake (`of_brake`, which simulates) acts in a run that has a timeout of the camera; on a robot it acts in any
+    case, and `robot_notes` has its sentence.
+    """
+    found = keys_without_effect(scenario) + _evaluated(of_prior, scene_of(scenario))
+    brakes = scenario.simulation.mode == SAMPLED_MODE and scenario.camera.timeout is not None
+    return found + (_evaluated(of_brake, scene_of(scenario)) if brakes else [])
 
 
 def _evaluated(check: Callable[[_T], Iterator[str]], of: _T) -> list[str]:
