@@ -19,8 +19,9 @@ from typer.testing import CliRunner
 import hexservo as hs
 from hexservo import _core
 from hexservo.cli import commands as cli
+from hexservo.findings.check_export import robot_notes
 from hexservo.run import publish
-from hexservo.run.export import C_NAMES, TITLE, gains_header, robot_notes
+from hexservo.run.export import C_NAMES, TITLE, gains_header
 from hexservo.run.files import write_file
 from hexservo.run.publish import OutputError
 from hexservo.scenario.laws import ALL_LAWS, LAWS

@@ -74,11 +74,11 @@ def unlikely(scenario: Scenario, *, by_law: bool = True) -> list[str]:
     scene = scene_of(scenario)
     sentences: list[str] = []
     for check in (_of_legs, _of_drives, of_positions, of_machine, _of_goal, of_points, of_gate, of_target):
-        sentences += _evaluated(check, scene)
+        sentences += evaluated(check, scene)
     for of_scenario in (_of_image, _of_principal_point, _of_duration, _of_dropout, of_motion, _of_unknown_latency):
-        sentences += _evaluated(of_scenario, scenario)
+        sentences += evaluated(of_scenario, scenario)
     return sentences + (
-        [sentence for of_law in (_of_rates, of_tracking, of_joints) for sentence in _evaluated(of_law, scene)]
+        [sentence for of_law in (_of_rates, of_tracking, of_joints) for sentence in evaluated(of_law, scene)]
         if by_law
         else []
     )
@@ -90,12 +90,12 @@ def notes(scenario: Scenario) -> list[str]:
     The brake (`of_brake`, which simulates) acts in a run that has a timeout of the camera; on a robot it acts in any
     case, and `robot_notes` has its sentence.
     """
-    found = keys_without_effect(scenario) + _evaluated(of_prior, scene_of(scenario))
+    found = keys_without_effect(scenario) + evaluated(of_prior, scene_of(scenario))
     brakes = scenario.simulation.mode == SAMPLED_MODE and scenario.camera.timeout is not None
-    return found + (_evaluated(of_brake, scene_of(scenario)) if brakes else [])
+    return found + (evaluated(of_brake, scene_of(scenario)) if brakes else [])
 
 
-def _evaluated(check: Callable[[_T], Iterator[str]], of: _T) -> list[str]:
+def evaluated(check: Callable[[_T], Iterator[str]], of: _T) -> list[str]:
     """Return the sentences of a check, with one in place of those that extreme numbers of the scenario leave out."""
     sentences: list[str] = []
     try:

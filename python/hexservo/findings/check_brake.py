@@ -11,7 +11,7 @@ from hexservo import _core
 from hexservo.findings.analysis.scene import Scene
 from hexservo.run.simulation import simulate
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.parameters import core_parameters
+from hexservo.scenario.parameters import core_parameters, reading_ticks
 from hexservo.scenario.wording import below, number, quantity
 
 _OF_FORCE = 0.8  # of what the legs have beside the weight: what the proposed gains need
@@ -143,6 +143,6 @@ def _twists_of_a_step(scene: Scene, period: float) -> Array:
     sensors = scene.scenario.sensors
     if sensors.pose != "encoders" or sensors.rate is True:
         return np.zeros((1, 6))
-    between = period if sensors.period is None else sensors.period
+    between = period * reading_ticks(scene.scenario, period)
     twists = np.linalg.inv(scene.wrench_maps(scene.home)) * sensors.resolution / between
     return np.vstack([twists, -twists])
