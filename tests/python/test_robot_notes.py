@@ -144,6 +144,16 @@ def test_a_step_of_the_encoders_is_a_force_of_the_brake() -> None:
     assert largest(scenario) > coarse.robot.force_limit > largest(coarse.updated(proposed(note)))
 
 
+def test_no_gains_are_proposed_with_which_the_legs_leave_their_stroke() -> None:
+    """Legs that have next to nothing beside the weight."""
+    scenario = hs.load_scenario("moog-6dof2000e")
+    scene = scene_of(scenario)
+    weight = float(np.abs(scene.resting_forces(scene.home)).max())
+    (note,) = of_brake(robot_notes(scenario.updated({"robot.force_limit": 1.005 * weight})))
+    assert "either way: take a slower law" in note
+    assert proposed(note) == {}
+
+
 def test_no_brake_is_noted_where_none_acts() -> None:
     """A run without a timeout, and drives that take positions."""
     scenario = hs.load_scenario("moog-6dof2000e")

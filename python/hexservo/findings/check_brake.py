@@ -9,11 +9,14 @@ import numpy as np
 
 from hexservo import _core
 from hexservo.findings.analysis.scene import Scene
+from hexservo.run.result import Result
 from hexservo.run.simulation import simulate
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import core_parameters, reading_ticks
+from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import below, number, quantity
 
+_MOST_STEPS = 100_000  # of a run that is judged
 _OF_FORCE = 0.8  # of what the legs have beside the weight: what the proposed gains need
 
 
@@ -56,6 +59,13 @@ def of_brake(scene: Scene, period: float | None = None) -> Iterator[str]:
             f"controller.safe: the brake needs {' and '.join(problems)}; a leg has {quantity(limit, units.effort)} "
             f"(robot.force_limit). {_remedy(scene, brake, moving, reading)}"
         )
+
+
+def judged_run(scenario: Scenario) -> Result:
+    """Return the run of a scenario, or its first 100 000 steps."""
+    longest = _MOST_STEPS * scenario.simulation.step
+    shorter = {"simulation.duration": longest} if scenario.simulation.duration > longest else {}
+    return simulate(scenario.updated(shorter))
 
 
 class _Brake:
@@ -115,27 +125,27 @@ def _remedy(scene: Scene, brake: _Brake, moving: Array, reading: Array) -> str:
     both = (moving[:, None] + reading).reshape(-1, 6)
     share = _OF_FORCE * slow.share(both, scene.scenario.robot.force_limit)
     rate = float(below(min(share, fastest_pole(brake) / fastest_pole(slow)), 2))
-    way = float(np.abs(brake.rates(moving)).max()) / (math.e * rate)  # of a critically damped response
+    way = float(np.abs(brake.rates(moving)).max()) / (math.e * rate)  # at most: of critically damped axes
     if way > scene.stroke:
         return (
-            f"Gains that need less stop the legs after {quantity(way, units.coordinate)}, and the stroke has "
+            f"Gains that need less stop the legs within {quantity(way, units.coordinate)}, and the stroke has "
             f"{quantity(scene.stroke, units.coordinate)} either way: take a slower law"
         )
     fitting = gains(rate)
     needed = float(np.abs(_Brake(scene, brake.period, fitting).forces(both)).max())
     pasted = " and ".join(f"{key}=[{','.join(map(number, values))}]" for key, values in fitting.items())
-    stops = f", and the legs stop after {quantity(way, units.coordinate, 2)}" if way > 0.0 else ""
+    stops = f", and the legs stop within {quantity(way, units.coordinate, 2)}" if way > 0.0 else ""
     return f"With {pasted} it needs {quantity(needed, units.effort)}{stops}"
 
 
 def _fastest_twists(scene: Scene, brake: _Brake) -> Array:
     """Return those twists of the run at which a leg needs most, each way, (n, 6); rest where the run ends early."""
-    result = simulate(scene.scenario)
+    result = judged_run(scene.scenario)
     if result.outcome != "completed":
         return np.zeros((1, 6))
     twists = np.asarray(result.twist)
     forces = brake.forces(twists)
-    return twists[np.unique([forces.argmax(axis=0), forces.argmin(axis=0)])]
+    return np.asarray(twists[np.unique([forces.argmax(axis=0), forces.argmin(axis=0)])])
 
 
 def _twists_of_a_step(scene: Scene, period: float) -> Array:

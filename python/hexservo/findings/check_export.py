@@ -12,10 +12,9 @@ from hexservo.findings.analysis.linear_law import NoRestError
 from hexservo.findings.analysis.loop_of_scenario import NotApplicableError
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check import evaluated, fastest_rate
-from hexservo.findings.check_brake import of_brake
+from hexservo.findings.check_brake import judged_run, of_brake
 from hexservo.findings.check_period import of_period
 from hexservo.run.controller import tick_keys
-from hexservo.run.simulation import simulate
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.parameters import core_parameters
@@ -82,7 +81,7 @@ def _of_period(scenario: Scenario, period: float) -> Iterator[str]:
     coarse = list(of_period(scenario, _rate(scenario), period))
     for sentence in coarse:
         yield sentence + remark
-    run = simulate(scenario.updated(changes)) if changes else None
+    run = judged_run(scenario.updated(changes)) if changes else None
     if run is not None and run.outcome != "completed":
         yield f"a run with the servo period of {quantity(period, 's')} ends as {run.outcome}: {run.detail}" + (
             "" if coarse else remark
