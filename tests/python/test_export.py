@@ -19,8 +19,9 @@ from typer.testing import CliRunner
 import hexservo as hs
 from hexservo import _core
 from hexservo.cli import commands as cli
+from hexservo.findings.check_export import robot_notes
 from hexservo.run import publish
-from hexservo.run.export import C_NAMES, TITLE, gains_header, robot_notes
+from hexservo.run.export import C_NAMES, TITLE, gains_header
 from hexservo.run.files import write_file
 from hexservo.run.publish import OutputError
 from hexservo.scenario.laws import ALL_LAWS, LAWS
@@ -393,18 +394,6 @@ def test_two_headers_of_one_namespace_in_one_program_keep_their_gains(paper: hs.
 # ---- The command ----------------------------------------------------------------------------------------------------
 
 
-def test_what_a_robot_should_not_have_is_noted(paper: hs.Scenario) -> None:
-    """A camera without a timeout, in both modes, and errors that are the controller's own."""
-    of_points = {"controller.law": "pbvs"}
-    assert ["camera.timeout" in note for note in robot_notes(paper.updated(of_points))] == [True, False]
-    sampled = hs.load_scenario("real-machine").updated({**of_points, "uncertainty.latency": 0.002})
-    forever, wrong = robot_notes(sampled)
-    assert forever.endswith("set camera.timeout for a robot")
-    assert "(uncertainty.depth, uncertainty.latency)" in wrong
-    right = {"camera.timeout": 0.2, "uncertainty.depth": 0.0, "uncertainty.latency": 0.0}
-    assert robot_notes(sampled.updated(right)) == []
-
-
 @pytest.mark.parametrize(
     ("law", "gains"),
     [
@@ -453,7 +442,7 @@ def test_export_writes_refuses_and_replaces(paper: hs.Scenario, tmp_path: Path) 
     assert (code, error) == (0, "")
     first, *notes = out.splitlines()
     assert first == f'{header}: gains of the scenario "paper" for a period of 1 ms'
-    assert [note.partition(":")[0] for note in notes] == ["Note"]
+    assert notes == [f"Note: {note}." for note in robot_notes(paper)]
     assert header.read_text(encoding="utf-8") == gains_header(paper)
 
     changed = ("paper", "--header", str(header), "--set", "controller.hybrid.kp=2e-6", "--period", "5e-4")

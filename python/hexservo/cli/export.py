@@ -85,14 +85,14 @@ def _header(scenario: hs.Scenario, file: str, period: float | None, force: bool)
     write_file(text, file, TITLE, _AUTHOR, force=force)
     ticks = scenario.simulation.step if period is None else period
     first = f'{file}: gains of the scenario "{scenario.name}" for a period of {ticks * 1e3:.6g} ms\n'
-    return first + _notes(scenario)
+    return first + _notes(scenario, ticks)
 
 
-def _notes(scenario: hs.Scenario) -> str:
-    """Return the lines of what is to be known before a robot moves by the controller."""
-    from hexservo.run.export import robot_notes
+def _notes(scenario: hs.Scenario, period: float) -> str:
+    """Return the lines of what is to be known before a robot moves by the controller, with ticks of a period [s]."""
+    from hexservo.findings.check_export import robot_notes
 
-    return "".join(f"Note: {note}.\n" for note in robot_notes(scenario))
+    return "".join(f"Note: {note}.\n" for note in robot_notes(scenario, period))
 
 
 def _mjcf(scenario: hs.Scenario, file: str, force: bool) -> str:
@@ -116,4 +116,4 @@ def _fmu(scenario: hs.Scenario, file: str, fmi: int, what: str, force: bool) -> 
         content = fmu(scenario, fmi=fmi, what=what)  # type: ignore[arg-type]
     write_file(content, file, is_unit, _AUTHOR, force=force)
     first = f'{file}: {what} of the scenario "{scenario.name}" as a unit of FMI {fmi}.0\n'
-    return first + (_notes(scenario) if what == "controller" else "")
+    return first + (_notes(scenario, scenario.simulation.step) if what == "controller" else "")

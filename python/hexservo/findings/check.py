@@ -21,6 +21,7 @@ from hexservo.findings.analysis.loop_of_scenario import NotApplicableError, quie
 from hexservo.findings.analysis.reach import reach_of_start_and_goal
 from hexservo.findings.analysis.scene import Scene, scene_of
 from hexservo.findings.check_base import of_base, of_drift
+from hexservo.findings.check_brake import of_brake
 from hexservo.findings.check_following import of_following
 from hexservo.findings.check_gains import of_gains
 from hexservo.findings.check_gate import of_gate
@@ -63,7 +64,7 @@ def unlikely(scenario: Scenario, *, by_law: bool = True) -> list[str]:
     other laws with it (`of_following`), what encoders read
     with the image and the fuzzy inputs (`of_joints`). Gains with which numbers of that loop overflow have a sentence
     that names it.
-    Simulates nothing but how `tracking` follows a target in motion (`of_following`), in a second or some.
+    Simulates nothing but how `tracking` follows a target in motion, in a second or some.
 
     Parameters
     ----------
@@ -77,14 +78,14 @@ def unlikely(scenario: Scenario, *, by_law: bool = True) -> list[str]:
     scene = scene_of(scenario)
     sentences: list[str] = []
     for check in (_of_legs, _of_drives, of_positions, of_machine, _of_goal, of_points, of_gate, of_target, of_base):
-        sentences += _evaluated(check, scene)
+        sentences += evaluated(check, scene)
     for of_scenario in (_of_image, _of_principal_point, _of_duration, _of_dropout, of_motion, _of_unknown_latency):
-        sentences += _evaluated(of_scenario, scenario)
+        sentences += evaluated(of_scenario, scenario)
     return sentences + (
         [
             sentence
             for of_law in (_of_rates, of_tracking, of_following, of_joints)
-            for sentence in _evaluated(of_law, scene)
+            for sentence in evaluated(of_law, scene)
         ]
         if by_law
         else []
@@ -92,15 +93,18 @@ def unlikely(scenario: Scenario, *, by_law: bool = True) -> list[str]:
 
 
 def notes(scenario: Scenario) -> list[str]:
-    """Return a sentence for each key without effect, on what a prior leaves of the pose, and on a base's drift.
+    """Return a sentence for each key without effect, on what a prior leaves of the pose, a base's drift and the brake.
 
-    The last ones are those of `of_prior` and `of_drift`.
+    They are those of `of_prior`, `of_drift` and `of_brake`. The brake (which simulates) acts in a run that has a
+    timeout of the camera; on a robot it acts in any case, and `robot_notes` has its sentence.
     """
     scene = scene_of(scenario)
-    return keys_without_effect(scenario) + _evaluated(of_prior, scene) + _evaluated(of_drift, scene)
+    found = keys_without_effect(scenario) + evaluated(of_prior, scene) + evaluated(of_drift, scene)
+    brakes = scenario.simulation.mode == SAMPLED_MODE and scenario.camera.timeout is not None
+    return found + (evaluated(of_brake, scene) if brakes else [])
 
 
-def _evaluated(check: Callable[[_T], Iterator[str]], of: _T) -> list[str]:
+def evaluated(check: Callable[[_T], Iterator[str]], of: _T) -> list[str]:
     """Return the sentences of a check, with one in place of those that extreme numbers of the scenario leave out."""
     sentences: list[str] = []
     try:

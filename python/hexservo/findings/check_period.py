@@ -19,7 +19,7 @@ def coarsest_period(rate: float) -> float:
     return _shortest_time(rate) / _TICKS
 
 
-def of_period(scenario: Scenario, rate: float | None) -> Iterator[str]:
+def of_period(scenario: Scenario, rate: float | None, exported: float | None = None) -> Iterator[str]:
     """Yield a sentence for a servo period, or one of readings, that is coarser than the loop's poles allow.
 
     Drives that take positions move legs without readings of the joints, which damp those of forces.
@@ -30,11 +30,17 @@ def of_period(scenario: Scenario, rate: float | None) -> Iterator[str]:
         Of a law whose loop is through the image; the reference of the others is exact at any period.
     rate
         Largest magnitude of the poles [1/s]; None where no law can be evaluated at home.
+    exported
+        Servo period [s] of a controller that is exported, whatever the mode; None: that of runs in sampled mode.
     """
-    if scenario.simulation.mode != SAMPLED_MODE or rate is None or scenario.controller.law not in LAWS:
+    if rate is None or scenario.controller.law not in LAWS:
         return
-    period, readings = scenario.simulation.step, reading_ticks(scenario)
-    periods = [(f"simulation.step: a servo period of {quantity(period, 's')}", period)]
+    if exported is None and scenario.simulation.mode != SAMPLED_MODE:
+        return
+    period = scenario.simulation.step if exported is None else exported
+    readings = reading_ticks(scenario, period)
+    head = "simulation.step: a servo period" if exported is None else "the servo period"
+    periods = [(f"{head} of {quantity(period, 's')}", period)]
     if readings > 1 and scenario.actuators.kind == "force":
         apart = readings * period
         periods.append((f"sensors.period: one reading of the joints every {quantity(apart, 's')}", apart))

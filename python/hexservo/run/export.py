@@ -10,11 +10,8 @@ from typing import Any
 import numpy as np
 
 from hexservo import _core
-from hexservo.run.controller import controller_arguments, controller_keys, tick_keys
-from hexservo.scenario.block import SAMPLED_MODE
-from hexservo.scenario.keys import value_at
+from hexservo.run.controller import controller_arguments, controller_keys
 from hexservo.scenario.leg_units import unit_of
-from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.version import VERSION
 
@@ -42,40 +39,6 @@ C_NAMES = frozenset(
 
 _OF_A_VERDICT = ("metrics.band", "metrics.dwell")
 """Keys by which a program can state whether the features have settled at their goal, as a run does."""
-
-_ASSUMED = ("depth", "focal_length", "principal_point", "mount.position", "mount.rotation", "latency")
-"""Keys of ``uncertainty`` that are errors of what the controller assumes."""
-
-
-def robot_notes(scenario: Scenario) -> list[str]:
-    """Return what is to be known of an exported controller before a robot moves by it, one sentence each.
-
-    A simulated camera is never unplugged, and its errors are wanted: on a robot a missing ``camera.timeout`` means that
-    the last image is used for ever, and the errors of ``uncertainty`` that are the controller's spoil its estimates. An
-    error that its law does not assume, as of depth where it does not use a model of the target's points, is none of
-    them.
-    """
-    notes = []
-    sampled = scenario.simulation.mode == SAMPLED_MODE
-    if not sampled:
-        notes.append(
-            "the last image is used for ever if no other comes, since a scenario in continuous mode has no timeout: "
-            "set simulation.mode=sampled and camera.timeout for a robot"
-        )
-    elif scenario.camera.timeout is None:
-        notes.append("the last image is used for ever if no other comes: set camera.timeout for a robot")
-    settings = core_parameters(scenario)
-    used = {key.name for key in tick_keys(settings)}
-    if not settings.needs_goal:  # the depths are measured
-        used.discard("uncertainty.depth")
-    assumed = (key for key in (f"uncertainty.{name}" for name in _ASSUMED) if key in used)
-    wrong = [key for key in assumed if np.any(np.asarray(value_at(scenario, key), float) != 0.0)]
-    if wrong:
-        notes.append(
-            f"the controller assumes what the scenario has it assume wrongly ({', '.join(wrong)}): "
-            "set that to 0 for a robot"
-        )
-    return notes
 
 
 def gains_header(scenario: Scenario, period: float | None = None) -> str:

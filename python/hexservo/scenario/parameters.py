@@ -100,12 +100,12 @@ def frame_period(scenario: Blocks) -> float:
     return scenario.simulation.step if scenario.camera.period is None else scenario.camera.period
 
 
-def reading_ticks(scenario: Blocks) -> int:
-    """Return the servo periods from one reading of the joints to the next."""
+def reading_ticks(scenario: Blocks, step: float | None = None) -> int:
+    """Return the servo periods from one reading of the joints to the next, ``simulation.step`` or a `step` [s]."""
     sensors = scenario.sensors
     if sensors.pose != "encoders" or sensors.period is None:
         return 1
-    return max(1, round(sensors.period / scenario.simulation.step))
+    return max(1, round(sensors.period / (scenario.simulation.step if step is None else step)))
 
 
 def oldest_image(scenario: Blocks) -> int:
