@@ -30,9 +30,7 @@ from hexservo.draw.panels import (
     draw_legend,
     draw_lines,
     draw_over_time,
-    farther_apart,
     fill_panels,
-    free_place,
     label_ends,
     note_outcome,
     point_the_way,
@@ -58,6 +56,7 @@ from hexservo.draw.style import (
     styled,
 )
 from hexservo.draw.wrench import control_wrench
+from hexservo.run.labels import farther_apart, free_place
 from hexservo.run.leg_limits import exceeded_limits, limits_of_motion
 from hexservo.run.metrics import metrics
 from hexservo.run.result import Result, require_run
