@@ -139,8 +139,9 @@ def reach(scene: Scene, direction: Array) -> Reach:
 
     Lengths, tilts and singular values of the legs change no faster than bounds that follow from the motion of the
     platform joints, so that what is left bounds how far the next step may go without passing a limit: the march never
-    steps over one. A leg that home has at the end of its stroke limits the directions alone that take it farther. The angle of a crank has no such bound near its reach: there the march takes steps of 1/200 of the
-    stroke, and halves the one that passed a limit.
+    steps over one. A leg that home has at the end of its stroke limits only the directions that take it farther. The
+    angle of a crank has no such bound near its reach: there the march takes steps of 1/200 of the stroke, and halves
+    the one that passed a limit.
 
     Parameters
     ----------
@@ -191,9 +192,9 @@ def reaches(scene: Scene, directions: Array) -> list[Reach]:
 def _leaving(scene: Scene, directions: Array, speed: Array, bend: Array, end: float) -> Array:
     """Return up to which distances (n, 6) legs at the end of their stroke at home are within it; 0 for all others.
 
-    A length changes at a rate `a` along a direction, and its second derivative is at most `c = speed^2/l + |p''|`: a leg
-    that leaves its end at `a` is not back before `2 a/c`. Half of that is used, and no more than the stroke or a tenth of the leg. Where `a` is zero
-    the curvature decides, by a small step.
+    A length changes at a rate `a` along a direction, and its second derivative is at most `c = speed^2/l + |p''|`: a
+    leg that leaves its end at `a` is not back before `2 a/c`. Half of that is used, and no more than the stroke or a
+    tenth of the leg. Where `a` is zero the curvature decides, by a small step.
 
     Parameters
     ----------
