@@ -125,7 +125,8 @@ def test_runs_of_one_kind_have_its_colour_and_symbol(
     found = hs.campaign({"scenario": short, "vary": varied, "require": require, "runs": 20}, tmp_path / "out")
     plane = curves_of(found)["Runs in the plane of both"]
     assert [line.name for line in plane.lines] == [kind]
-    markers = json.loads(re.search(r"<script[^>]*>(.*?)</script>", curves(plane), re.DOTALL)[1])["data"][0]["marker"]
+    (script,) = re.findall(r"<script[^>]*>(.*?)</script>", curves(plane), re.DOTALL)
+    markers = json.loads(script)["data"][0]["marker"]
     assert (markers["color"], markers["symbol"]) == (LINE_COLOURS[colour], ("circle", "square")[symbol])
     (dots,) = item_figure(plane).axes[0].lines
     assert (dots.get_color(), dots.get_marker()) == ((BLUE, VERMILION)[colour], "os"[symbol])

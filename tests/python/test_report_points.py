@@ -8,7 +8,7 @@ import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import pytest
@@ -55,7 +55,9 @@ def test_every_dot_has_the_colour_of_its_point(
     monkeypatch.setattr("hexservo.report.page.groups", lambda _: [])
     file = tmp_path / "report.html"
     file.write_text(page(result), encoding="utf-8")
-    for scheme, media in (("light", "screen"), ("dark", "screen"), ("light", "print"), ("dark", "print")):
+    shown_as: tuple[tuple[Literal["light", "dark"], Literal["screen", "print"]], ...]
+    shown_as = (("light", "screen"), ("dark", "screen"), ("light", "print"), ("dark", "print"))
+    for scheme, media in shown_as:
         shown = browser.new_page(color_scheme=scheme)
         shown.goto(file.as_uri())
         shown.emulate_media(media=media)
@@ -82,10 +84,17 @@ def test_goals_are_squares_in_the_still_picture(result: hs.Result) -> None:
     assert np.abs(ends - (goals + 5.0)).max() <= 0.11  # a dot at its goal is in the middle of its square
 
 
+def _spec(chart: str) -> dict[str, Any]:
+    """Return data and layout of a chart."""
+    (script,) = re.findall(r"<script[^>]*>(.*?)</script>", chart, re.DOTALL)
+    found: dict[str, Any] = json.loads(script)
+    return found
+
+
 def test_points_have_numbers_beside_their_paths(result: hs.Result) -> None:
-    """Points of the same colour are told apart by them, as in the figures of a run."""
+    """Points of the same colour differ by them, as in the figures of a run."""
     charts = dict(figures(result))["Feature paths in the image"]
-    spec = json.loads(re.search(r"<script[^>]*>(.*?)</script>", charts[-1], re.DOTALL)[1])
+    spec = _spec(charts[-1])
     numbers = spec["layout"]["annotations"]
     assert [number["text"] for number in numbers] == [str(point) for point in range(1, 17)]
     places = np.array([[number["x"], number["y"]] for number in numbers])
@@ -102,7 +111,7 @@ def test_points_have_numbers_beside_their_paths(result: hs.Result) -> None:
 def test_dashes_of_feature_errors_repeat_within_their_legend(result: hs.Result) -> None:
     """A legend of plotly.js has 30 px of a line: each dash pattern is there once at least, and begins again."""
     charts = dict(figures(result))["Feature errors"]
-    spec = json.loads(re.search(r"<script[^>]*>(.*?)</script>", charts[0], re.DOTALL)[1])
+    spec = _spec(charts[0])
     # widths of the names of plotly.js for lines up to 3 px: multiples of 3 px
     named = {"solid": 0, "dot": 6, "dash": 18, "longdash": 30, "dashdot": 24, "longdashdot": 36}
     periods = [

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from hexservo import _core
 from hexservo.report.charts import TOLERANCE, Spec, axes, chart, encoded, thinned, trace
 from hexservo.report.html import Html
-from hexservo.run.labels import farther_apart, free_place
+from hexservo.run.labels import farther_apart, roomiest_place
 from hexservo.run.leg_motion import leg_motions
 from hexservo.run.samples import (
     ImageView,
@@ -238,7 +238,7 @@ def _numbers_of_points(features: Array, goals: Array, view: ImageView, width: fl
             place = goal
         usual = np.where(place < goal, -1.0, 1.0)
         offsets = np.concatenate([[usual], _LABEL_SIDES]) * _LABEL_OFFSET
-        chosen = free_place(scale * place + offsets, taken, _LABEL_ROOM)
+        chosen = roomiest_place(scale * place + offsets, taken, _LABEL_ROOM)
         taken = np.concatenate([taken, (scale * place + offsets)[[chosen]]])
         shift = {"xshift": float(offsets[chosen, 0]), "yshift": float(offsets[chosen, 1])}
         at = {"x": float(place[0]), "y": float(place[1]), **shift, "showarrow": False}

@@ -19,7 +19,7 @@ def farther_apart(starts: Array, ends: Array, enough: float) -> Literal[0, -1]:
     return 0 if nearest(starts) >= min(enough, nearest(ends)) else -1
 
 
-def free_place(candidates: Array, taken: Array, enough: float) -> int:
+def roomiest_place(candidates: Array, taken: Array, enough: float) -> int:
     """Return the first of some places (k, 2) that is far enough from all that are taken (n, 2), or else the farthest.
 
     All in one unit, as points of the figure.
