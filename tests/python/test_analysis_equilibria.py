@@ -404,3 +404,25 @@ def test_legs_that_take_positions_rest_where_the_virtual_platform_does(
     expected = equilibria.analyse(scenario.updated({"controller.kelly.kd": (2.0 * damping).tolist()}))
     assert attracting(slower).growth == pytest.approx(attracting(expected).growth, rel=1e-5)
     assert attracting(slower).growth != pytest.approx(attracting(found).growth, rel=1e-2)
+
+
+@pytest.mark.parametrize("mass", [1e3, 1e5, 1e8])
+def test_the_goal_is_found_whatever_the_mass(paper: hs.Scenario, mass: float) -> None:
+    """Without an error of gravity the goal image is an equilibrium; a heavy platform of small inertia is undecided."""
+    light, heavy = equilibria.analyse(paper), equilibria.analyse(paper.updated({"robot.mass": mass}))
+    assert [goal.kind for goal in heavy.goals] == ["goal"]
+    np.testing.assert_allclose(heavy.goals[0].displacement, light.goals[0].displacement, rtol=0, atol=1e-9)
+    assert heavy.goals[0].residual < 1e-9
+    assert heavy.section().verdict == "open"
+    assert "is not decided" in heavy.section().sentences[0]
+
+
+def test_eigenvalues_are_inverse_to_mass_and_inertia(paper: hs.Scenario) -> None:
+    """Of a weight that the law balances nothing is left in them, not even its rounding."""
+    inertia = np.array(paper.robot.inertia)
+    light = equilibria.analyse(paper)
+    heavy = equilibria.analyse(
+        paper.updated({"robot.mass": 1e8 * paper.robot.mass, "robot.inertia": (1e8 * inertia).tolist()})
+    )
+    assert heavy.section().verdict == light.section().verdict == "good"
+    np.testing.assert_allclose(1e8 * heavy.goals[0].eigenvalues.real, light.goals[0].eigenvalues.real, rtol=1e-3)

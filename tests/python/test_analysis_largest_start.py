@@ -11,7 +11,7 @@ import pytest
 import hexservo as hs
 from hexservo.findings.analysis import largest_start
 from hexservo.findings.analysis.largest_start import Direction, LargestStart, _largest
-from hexservo.findings.analysis.largest_start_words import _by_seeds, _sentences, _timing_words, border_words
+from hexservo.findings.analysis.largest_start_words import _by_seeds, _others, _sentences, _timing_words, border_words
 from hexservo.findings.analysis.largest_times import camera_times
 from hexservo.findings.analysis.scene import Scene, scene_of
 from hexservo.findings.analysis.settling_runs import SettlingRuns, border
@@ -583,3 +583,19 @@ def test_a_task_needs_a_margin_to_the_force_limit(found: LargestStart, paper: hs
         section = replace(found, directions=(overloaded, *found.directions[1:])).section()
         assert section.verdict == verdict
         assert f"in the direction of the task from {size:.3g} times the task on (" in str(section)
+
+
+def test_one_direction_is_in_the_singular() -> None:
+    settles, fails = ({1.0: True, 2.0: True}, {1.0: True, 2.0: False})
+    unit = np.array([1e-3, 0, 0, 0, 0, 0])
+
+    def way(name: str, tried: dict[float, bool]) -> Direction:
+        return Direction(name, unit, 2.0, "stroke", tried, {}, None, {}, 2.0, {}, ())
+
+    def words(*ways: Direction) -> str:
+        return _others(LargestStart("kelly", "", ways, duration=2.0))
+
+    assert words(way("+x", fails)).startswith("The other direction, +x, has goals that do not settle within 2 s: up to")
+    assert words(way("+x", settles)).startswith("The other direction, +x: every goal tried settles within 2 s")
+    assert words(way("+x", fails), way("-x", settles)).startswith("Of 2 axes and rotations 1 has goals")
+    assert words(way("+x", fails), way("-x", fails)).startswith("Of 2 axes and rotations 2 have goals")

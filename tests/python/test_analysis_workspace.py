@@ -104,6 +104,33 @@ def test_reach_ends_at_the_first_limit_in_every_direction(paper: hs.Scenario) ->
         assert int(at_end.argmax()) + 1 == end.leg
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("preset", ["micro", "cubic"])
+def test_legs_at_the_end_of_their_stroke_leave_it(paper: hs.Scenario, preset: str, sign: float) -> None:
+    """Home is on the end stop: along z by hand, and along random directions what `hs.reachable` takes for within."""
+    length = 0.25 * paper.robot.stroke
+    scenario = paper.updated({"robot.preset": preset, "robot.stroke": sorted([0.0, sign * length])})
+    scene = scene_of(scenario)
+    height = abs(float(scene.home.position[2]))
+    home = float(scene.hexapod.home_lengths[0])
+    rho2 = home**2 - height**2
+    away, back = (workspace.reach(scene, np.array([0.0, 0.0, s, 0, 0, 0])) for s in (-sign, sign))  # z points down
+    assert away.distance == pytest.approx(abs(np.sqrt((home + sign * length) ** 2 - rho2) - height), rel=1e-7)
+    assert (back.distance, back.limit) == (0.0, "stroke")
+
+    random = np.random.default_rng(SEED)
+    ways = random.normal(size=(100, 6)) * np.repeat([1.0, 3.0], 3)
+    ways[:50, :3] += [0.0, 0.0, -4.0 * sign]  # most of these leave the end stop
+    ends = workspace.reaches(scene, ways)
+    assert 20 < sum(end.distance > 0.0 for end in ends) < 80
+    for end in ends:
+        beyond = end.distance * (1.0 + 1e-6) + 1e-7
+        way = np.append(np.linspace(0.0, end.distance * (1.0 - 1e-6), 100), beyond)
+        *within, after = scene.reachable(scene.home.moved(way[:, None] * end.direction))
+        assert all(within)
+        assert end.limit != "stroke" or not after
+
+
 def test_the_reach_of_the_axes_follows_the_symmetry_of_the_legs(found: workspace.Workspace) -> None:
     """The joints of `micro` mirror about the x axis: +y is -y, and turns about x and z go as far both ways."""
     distance = [end.distance for end in found.axes]

@@ -19,8 +19,9 @@ from hexservo.campaigns.drawing import with_unit
 from hexservo.campaigns.intervals import anytime_interval
 from hexservo.campaigns.pictures import campaign_sections, influential, size_of_chance
 from hexservo.draw.evidence import item_figure
+from hexservo.draw.style import BLUE, VERMILION
 from hexservo.findings.evidence import Bars, Curves, Line, Section, Share
-from hexservo.report.charts import bars, curves
+from hexservo.report.charts import LINE_COLOURS, bars, curves
 from hexservo.run.files import MARKER
 from test_campaign_engine import FILE, RUNS
 from test_campaign_search import SHORT
@@ -111,6 +112,38 @@ def test_the_most_influential_number_is_found(tmp_path: Path) -> None:
     names = influential(hs.campaign(file, tmp_path / "out"))
     assert [name for name, _ in names] == ["uncertainty.gravity", "metrics.band"]
     assert names[0][1] > 0.8 > 0.3 > names[1][1]
+
+
+@pytest.mark.parametrize(("bound", "kind", "colour", "symbol"), [(0.1, "passes", 0, 0), (1e-9, "fails", 1, 1)])
+def test_runs_of_one_kind_have_its_colour_and_symbol(
+    tmp_path: Path, bound: float, kind: str, colour: int, symbol: int
+) -> None:
+    """Where no run is of the other kind too."""
+    varied = {"uncertainty.gravity": {"normal": [0.0, 0.1]}, "metrics.band": {"uniform": [0.5, 2.0]}}
+    short = hs.load_scenario("paper").updated({"simulation.duration": 0.02})
+    require = [f"peak_leg_excursion <= {bound}"]
+    found = hs.campaign({"scenario": short, "vary": varied, "require": require, "runs": 20}, tmp_path / "out")
+    plane = curves_of(found)["Runs in the plane of both"]
+    assert [line.name for line in plane.lines] == [kind]
+    (script,) = re.findall(r"<script[^>]*>(.*?)</script>", curves(plane), re.DOTALL)
+    markers = json.loads(script)["data"][0]["marker"]
+    assert (markers["color"], markers["symbol"]) == (LINE_COLOURS[colour], ("circle", "square")[symbol])
+    (dots,) = item_figure(plane).axes[0].lines
+    assert (dots.get_color(), dots.get_marker()) == ((BLUE, VERMILION)[colour], "os"[symbol])
+
+
+def test_a_campaign_of_one_run_is_in_the_singular(tmp_path: Path) -> None:
+    file = {
+        "scenario": hs.load_scenario("paper").updated({"simulation.duration": 0.02}),
+        "vary": {"uncertainty.gravity": {"normal": [0.0, 0.1]}},
+        "require": ["peak_leg_excursion <= 0.02"],
+        "runs": 1,
+    }
+    found = {
+        section.name: " ".join(section.sentences) for section in campaign_sections(hs.campaign(file, tmp_path / "out"))
+    }
+    assert found["interval"].startswith("After 1 run it is")
+    assert found["failures"] == "One run shows no influence of a number: that takes several runs."
 
 
 def test_one_number_for_several_entries_is_named_once(tmp_path: Path) -> None:

@@ -318,6 +318,8 @@ def test_v_above_its_start_is_reported_where_its_differences_are_too_coarse() ->
     )
     assert not lyapunov.rises
     assert fine.rises  # seen with shorter steps
+    notes = [replace(fine, rises=fine.rises[:1] * count).section().items[0].note for count in (1, 2)]
+    assert [note.partition(" in all")[0] for note in notes] == ["1 interval", "2 intervals"]
     section = lyapunov.section()
     assert section.verdict == "warning"
     assert "uJ above its start" in section.sentences[1]

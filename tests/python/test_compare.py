@@ -451,6 +451,7 @@ def test_the_end_of_a_run_is_marked_unlike_every_law() -> None:
     assert {gid.removeprefix("end ") for gid in lines if gid.startswith("end ")} == early
     for law in early:
         assert lines[f"end {law}"].get_marker() == marks[-1].get_marker() == "x"
+        assert not lines[f"end {law}"].get_clip_on()  # it is at the border, where half of it would be missing
         assert lines[f"end {law}"].get_color() == lines[f"error {law}"].get_color()
         assert np.asarray(lines[f"end {law}"].get_xdata())[0] == np.asarray(lines[f"error {law}"].get_xdata())[-1]
     completed = hs.compare(["paper"], ["hybrid"], {"simulation.duration": 0.02}).figure()

@@ -15,7 +15,7 @@ from hexservo.campaigns.result import CampaignResult
 from hexservo.findings.evidence import Curves, Line, Section
 from hexservo.run.metrics import metric_label, metric_name
 from hexservo.scenario.arrays import Array, Mask
-from hexservo.scenario.wording import above, below, number
+from hexservo.scenario.wording import above, below, counted, number
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -120,9 +120,8 @@ def _correlation(ranks: Array, values: Array) -> float:
 
 def _interval_sentences(result: CampaignResult) -> Sequence[str]:
     low, high = result.interval
-    return [
-        f"After {len(result)} runs it is {below(low)} to {above(high)}, with a confidence of {result.plan.confidence}."
-    ]
+    runs = counted(len(result), "run")
+    return [f"After {runs} it is {below(low)} to {above(high)}, with a confidence of {result.plan.confidence}."]
 
 
 def _interval(result: CampaignResult, failed: Mask) -> Curves:
@@ -207,10 +206,10 @@ def _failures(result: CampaignResult, failed: Mask, sample: pa.Table, dots: Sequ
     if len(names) < 2:
         return Section("failures", title, sentences)
     lines = []
-    for name, table in zip(("passes", "fails"), dots, strict=True):
+    for look, (name, table) in enumerate(zip(("passes", "fails"), dots, strict=True)):
         if len(table):
             x, y = (np.asarray(table.column(key).to_numpy(), dtype=float) for key, _ in names)
-            lines.append(Line(name, x, y, "points"))
+            lines.append(Line(name, x, y, "points", look))
     note = f"The first {_DOTS} runs of each kind." if max(failed.sum(), (~failed).sum()) > _DOTS else ""
     x_label, y_label = (with_unit(result.plan.scenario, name) for name, _ in names)
     return Section(
@@ -225,6 +224,8 @@ def _influence_sentences(table: pa.Table, found: Sequence[tuple[str, float]]) ->
     """Return which of the varied numbers show an influence on the margin, beyond what chance reaches."""
     margins: Array = table.column("margin").to_numpy()
     values, counts = np.unique(margins, return_counts=True)
+    if len(margins) == 1:
+        return ["One run shows no influence of a number: that takes several runs."]
     if len(values) == 1:
         return [f"All runs have the same margin, {number(values[0])}: no number shows an influence."]
     runs, inputs = len(margins), len(found)

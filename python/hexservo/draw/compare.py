@@ -231,7 +231,8 @@ def _end_mark(colour: str, *place: float, **more: Any) -> Line2D:
     """Return the mark of a run that ended early, at a place of axes, or for a legend."""
     x, y = ([value] for value in place) if place else ([], [])
     look: dict[str, Any] = {"color": colour, "linestyle": "", "marker": _ENDED, "zorder": 4}
-    return Line2D(x, y, markersize=5.5, markeredgewidth=1.3, **look, **more)
+    # at the border of the axes it is whole: many runs end where the range of errors or of time does
+    return Line2D(x, y, markersize=5.5, markeredgewidth=1.3, clip_on=False, **look, **more)
 
 
 def _thinned(

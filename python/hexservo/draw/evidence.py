@@ -13,6 +13,7 @@ from hexservo.run.samples import path_samples
 from hexservo.scenario.arrays import Array
 
 _INKS = (BLUE, VERMILION, GREEN, BLACK, PURPLE, ORANGE, GREY)
+_MARKERS = ("o", "s", "D", "P")
 _STYLES = {"line": "-", "dashed": "--", "points": ""}
 
 
@@ -39,9 +40,9 @@ def item_figure(item: Curves | HeatMap | Bars) -> Figure:
         axes.plot(
             x,
             y,
-            color=inks[number % len(inks)],
+            color=inks[(number if line.look is None else line.look) % len(inks)],
             linestyle=_STYLES[line.style],
-            marker="o" if line.style == "points" or len(x) == 1 else "",
+            marker=_MARKERS[(line.look or 0) % len(_MARKERS)] if line.style == "points" or len(x) == 1 else "",
             markersize=3.5,
             label=line.name or None,
         )

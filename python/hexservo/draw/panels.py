@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import combinations
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
@@ -282,25 +281,6 @@ def _spread(places: Array, gap: float) -> Array:
     spread = np.empty_like(places)
     spread[order] = np.clip(level, 0, max(1 - steps[-1], 0)) + steps
     return spread
-
-
-def farther_apart(starts: Array, ends: Array, enough: float) -> Literal[0, -1]:
-    """Find where labels of paths have more room: at the starts (0), if that is enough, or at the ends (-1)."""
-
-    def nearest(places: Array) -> float:
-        return min(float(np.hypot(*(a - b))) for a, b in combinations(places, 2))
-
-    return 0 if nearest(starts) >= min(enough, nearest(ends)) else -1
-
-
-def free_place(candidates: Array, taken: Array, enough: float) -> int:
-    """Return the first of some places (k, 2) that is far enough from all that are taken (n, 2), or else the farthest.
-
-    All in one unit, as points of the figure.
-    """
-    room = np.array([np.nanmin(np.hypot(*(taken - place).T)) for place in candidates])
-    free = np.flatnonzero(room >= enough)
-    return int(free[0] if len(free) else room.argmax())
 
 
 def point_the_way(axes: Axes, start: Array, away: Array, colour: str, number: int) -> None:

@@ -30,9 +30,7 @@ from hexservo.draw.panels import (
     draw_legend,
     draw_lines,
     draw_over_time,
-    farther_apart,
     fill_panels,
-    free_place,
     label_ends,
     note_outcome,
     point_the_way,
@@ -58,6 +56,7 @@ from hexservo.draw.style import (
     styled,
 )
 from hexservo.draw.wrench import control_wrench
+from hexservo.run.labels import farther_apart, roomiest_place
 from hexservo.run.leg_limits import exceeded_limits, limits_of_motion
 from hexservo.run.metrics import metrics
 from hexservo.run.result import Result, require_run
@@ -456,7 +455,7 @@ def _number_points(axes: Axes, features: Array, goals: Array, arrows: Array, cor
         inside = ((candidates >= low + _LABEL_EDGE) & (candidates <= high - _LABEL_EDGE)).all(axis=1)
         if inside.any():
             places, candidates = list(compress(places, inside)), candidates[inside]
-        chosen = free_place(candidates, taken, _LABEL_ROOM)
+        chosen = roomiest_place(candidates, taken, _LABEL_ROOM)
         taken = np.concatenate([taken, candidates[[chosen]]])
         at, away = places[chosen]
         axes.annotate(

@@ -77,6 +77,7 @@ class Line:
     x: Array  # (n,)
     y: Array  # (n,)
     style: Literal["line", "dashed", "points"] = "line"
+    look: int | None = None  # number of its colour and marker, the same in all charts; None: its place among the lines
 
 
 @dataclass(frozen=True, eq=False)

@@ -246,13 +246,14 @@ def thinned(x: Array, y: Array, tolerance: float) -> NDArray[np.intp]:
 def _line(line: Line, number: int, colours: Sequence[str] = LINE_COLOURS, *, y_log: bool = False) -> Spec:
     x, y = np.asarray(line.x, dtype=float), np.asarray(line.y, dtype=float)
     kept = np.arange(len(y)) if line.style == "points" else _kept(x, y, y_log)
-    colour = colours[number % len(colours)]
+    colour = colours[(number if line.look is None else line.look) % len(colours)]
+    symbol = number // len(colours) if line.look is None else line.look
     dash = "dash" if line.style == "dashed" else _DASHES[number // len(colours) % len(_DASHES)]
     more: Spec = {"showlegend": bool(line.name)}
     if line.style == "points" or len(kept) == 1:
         more |= {
             "mode": "markers",
-            "marker": {"color": colour, "size": 6, "symbol": _SYMBOLS[number // len(colours) % len(_SYMBOLS)]},
+            "marker": {"color": colour, "size": 6, "symbol": _SYMBOLS[symbol % len(_SYMBOLS)]},
         }
     return trace(x[kept], y[kept], line.name, {"color": colour, "dash": dash, "width": 1.6}, **more)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -11,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from hexservo import _core
 from hexservo.report.charts import TOLERANCE, Spec, axes, chart, encoded, thinned, trace
 from hexservo.report.html import Html
+from hexservo.run.labels import farther_apart, roomiest_place
 from hexservo.run.leg_motion import leg_motions
 from hexservo.run.samples import (
     ImageView,
@@ -44,7 +46,8 @@ class _Ink(NamedTuple):
 
 
 _POINT_COLOURS = ("@blue", "@vermilion", "@green", "@black", "@purple", "@orange")  # repeated for more points
-_POINT_DASHES = (("solid", "dash"), ("longdash", "dashdot"), ("dot", "longdashdot"))  # of x, y; by colours' turns
+# Of x, y; by colours' turns. Long dashes are shorter than those of plotly.js, of which its legend has one: 30 px.
+_POINT_DASHES = (("solid", "dash"), ("12px,3px", "dashdot"), ("dot", "12px,3px,2px,3px"))
 _AXES: tuple[_Ink, ...] = (_Ink("@blue"), _Ink("@vermilion", "dash"), _Ink("@green", "dashdot"))
 _LEGS = (
     _Ink("@black"),
@@ -56,6 +59,11 @@ _LEGS = (
 )
 _DIVERGING = [[0, "#2d004b"], [0.25, "#998ec3"], [0.5, "#f7f7f7"], [0.75, "#f1a340"], [1, "#7f3b08"]]
 _PATHS = "Paths of the features"
+_LABEL_OFFSET = 13.0  # of a point's number from its mark, along each axis [px]
+_LABEL_ROOM = 14.0  # between a number and what else is drawn [px]
+_LABEL_SIDES = np.array([*product((1.0, -1.0), repeat=2), (1.4, 0.0), (-1.4, 0.0), (0.0, 1.4), (0.0, -1.4)])
+_SAMPLES_OF_PATH = 200  # that numbers stay clear of
+_WIDE, _NARROW = 550.0, 390.0  # widths of the axes of one chart, and of one of two [px]
 _FIRST_SHARE, _GAP = 0.62, 0.025  # of the width: the panel of the transient, and between the two
 
 
@@ -148,10 +156,14 @@ def _point_colours(points: int) -> list[str]:
 def _feature_paths(result: Result) -> list[Html]:
     views = image_views(result)
     titles = (_PATHS, "The same paths, magnified")
-    return [_paths_in(result, view, title, wide=len(views) == 1) for view, title in zip(views, titles, strict=False)]
+    last, wide = views[-1], len(views) == 1
+    return [
+        _paths_in(result, view, title, wide=wide, named=view is last)
+        for view, title in zip(views, titles, strict=False)
+    ]
 
 
-def _paths_in(result: Result, view: ImageView, title: str, *, wide: bool) -> Html:
+def _paths_in(result: Result, view: ImageView, title: str, *, wide: bool, named: bool) -> Html:
     features = result.features.reshape(len(result.time), -1, 2)
     goals = desired_features(result.scenario).reshape(-1, 2)
     colours = _point_colours(len(goals))
@@ -197,8 +209,41 @@ def _paths_in(result: Result, view: ImageView, title: str, *, wide: bool) -> Htm
         note = f"Grey: border of the image, {image_size[0]:g} x {image_size[1]:g} px." if title == _PATHS else ""
     layout["yaxis"] |= {"scaleanchor": "x", "constrain": "domain"}
     layout["xaxis"] |= {"constrain": "domain"}
+    if named:
+        layout["annotations"] = _numbers_of_points(features, goals, view, _WIDE if wide else _NARROW)
     layout |= {"maxWidth": 620, "aspect": float(view.half[1] / view.half[0])}
     return chart({"data": data, "layout": layout}, title, note=note, height=680, wide=wide)
+
+
+def _numbers_of_points(features: Array, goals: Array, view: ImageView, width: float) -> list[Spec]:
+    """Write the number of each point beside its start or its end, where neither marks, paths nor other numbers are.
+
+    Parameters
+    ----------
+    features, goals
+        Of the samples (n, points, 2) and of the goal (points, 2) [px].
+    view
+        What the axes show.
+    width
+        Of the axes [px of the page].
+    """
+    scale = width / (2.0 * float(view.half[0]))
+    at_end = farther_apart(features[0], features[-1], 0.16 * float(view.half.min()))
+    paths = features[:: max(1, len(features) // _SAMPLES_OF_PATH)].reshape(-1, 2)
+    taken = scale * np.concatenate([paths, features[0], features[-1], goals])
+    numbers: list[Spec] = []
+    for number, (goal, colour) in enumerate(zip(goals, _point_colours(len(goals)), strict=True)):
+        place = features[at_end, number]
+        if not np.isfinite(place).all():
+            place = goal
+        usual = np.where(place < goal, -1.0, 1.0)
+        offsets = np.concatenate([[usual], _LABEL_SIDES]) * _LABEL_OFFSET
+        chosen = roomiest_place(scale * place + offsets, taken, _LABEL_ROOM)
+        taken = np.concatenate([taken, (scale * place + offsets)[[chosen]]])
+        shift = {"xshift": float(offsets[chosen, 0]), "yshift": float(offsets[chosen, 1])}
+        at = {"x": float(place[0]), "y": float(place[1]), **shift, "showarrow": False}
+        numbers.append({**at, "text": str(number + 1), "font": {"color": colour, "size": 12}})
+    return numbers
 
 
 def _wrench_title(result: Result) -> str:

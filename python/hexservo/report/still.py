@@ -57,7 +57,7 @@ def still(scene: SpaceView) -> Html:
         shapes += [_line(at(path), f"path {colour}") for path in paths]
         if shown[last]:
             shapes.append(_dot(at(image[last, number]), 3, f"dot {colour}"))
-        shapes.append(_dot(at(goals[number]), 5, f"goal {colour}"))
+        shapes.append(_square(at(goals[number]), 5, f"goal {colour}"))
     names: list[tuple[str, Array]] = [("base", scene.base[int(at(scene.base)[:, 0].argmax())])]
     names.append(("platform", joints[int(at(joints)[:, 0].argmax())]))
     names.append(("image", corners[int(at(corners)[:, 0].argmax())]))
@@ -99,6 +99,11 @@ def _line(points: Array, kind: str) -> Html:
 
 def _dot(place: Array, radius: float, kind: str) -> Html:
     return element("circle", cx=f"{place[0]:.1f}", cy=f"{place[1]:.1f}", r=f"{radius:g}", class_=kind)
+
+
+def _square(place: Array, half: float, kind: str) -> Html:
+    x, y, side = f"{place[0] - half:.1f}", f"{place[1] - half:.1f}", f"{2 * half:g}"
+    return element("rect", x=x, y=y, width=side, height=side, class_=kind)
 
 
 def _text(place: Array, text: str) -> Html:

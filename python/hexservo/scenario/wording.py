@@ -75,6 +75,11 @@ def _percent(share: float, whole: Callable[[float], int]) -> str:
 _PREFIXES = (("", 1.0), ("m", 1e3), ("u", 1e6), ("n", 1e9))
 
 
+def counted(count: int, noun: str) -> str:
+    """Write a count with its noun: "1 run", "3 runs"."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
 def quantity(value: float, unit: str, digits: int = 3) -> str:
     """Write a number with its SI unit, in thousandths, millionths or billionths where it is less than one.
 

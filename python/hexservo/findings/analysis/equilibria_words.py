@@ -32,7 +32,11 @@ def section(result: Equilibria) -> Section:
 
 
 def _verdict(result: Equilibria) -> Verdict:
-    if result.traps or not result.goals or result.goals[0].stability != "attracting":
+    if result.traps or not result.goals:
+        return "bad"
+    if result.goals[0].stability == "undecided":
+        return "open"
+    if result.goals[0].stability != "attracting":
         return "bad"
     away = any(e.kind == "false" and e.stability == "attracting" for e in result.found)
     if result.goals[0].residual > result.band:

@@ -122,15 +122,24 @@ def _others(found: LargestStart) -> str:
         return "Along no axis and about none was a possible goal found: none was tried."
     failing = [d for d in others if d.fails_at is not None]
     if not failing:
+        along = (
+            f"Along all {len(others)} axes and rotations"
+            if len(others) > 1
+            else f"The other direction, {others[0].name}:"
+        )
         return (
-            f"Along all {len(others)} axes and rotations every goal tried settles within {found.duration:g} s and "
+            f"{along} every goal tried settles within {found.duration:g} s and "
             f"{_WITHIN}, up to those limits, or those of the camera or of the region searched."
         )
     worst = min(failing, key=lambda d: d.settles_to / d.largest)
     settles, fails = border_words(worst)
+    if len(others) == 1:
+        of = f"The other direction, {worst.name}, has"
+    else:
+        of = f"Of {len(others)} axes and rotations {len(failing)} {'has' if len(failing) == 1 else 'have'}"
+    the_worst = "" if len(others) == 1 else f"; the worst is {worst.name}"
     return (
-        f"Of {len(others)} axes and rotations {len(failing)} have goals that do not settle within "
-        f"{found.duration:g} s; the worst is {worst.name}: "
+        f"{of} goals that do not settle within {found.duration:g} s{the_worst}: "
         + (f"up to {settles} settle" if worst.settles_to else "none that was tried settles")
         + f", {fails} {_failure(found, worst)}{_by_seeds(found, worst, ' (', ')')}, of "
         f"{_amount(worst, worst.largest)} that were possible."

@@ -103,6 +103,10 @@ class Rest(Scene):
         """Return `springs_of` the law at poses, (..., 6) in B [N; N m]; NaN where not all points are in view."""
         return self._of_law(springs_of, poses, exact_depth=exact_depth)
 
+    def _left(self, poses: Poses) -> Array:
+        """Return the wrench that is left of a platform at rest, (..., 6) in B [N; N m]; its zeros are equilibria."""
+        return np.asarray(self.spring(poses) + self.gravity_error)
+
     def pose_error(self, poses: Poses) -> Array:
         """Return the pose error that the law regulates, (..., 6) in B [m; rad]; NaN where not all points are in view.
 
@@ -129,11 +133,18 @@ class Rest(Scene):
         return wrench.reshape(*poses.shape, 6)
 
     def stiffness(self, poses: Poses) -> Array:
-        """Return minus the derivative of `acceleration` by displacement, (..., 6, 6) [1/s^2], in `unit` on both sides.
+        """Return minus the derivative of `acceleration` by displacement, (n, 6, 6) [1/s^2], in `unit` on both sides.
 
-        Central differences: with steps of 1e-6 truncation and rounding leave about 1e-12 of the largest entry.
+        Of equilibria (n,): it is that of the wrench left at rest, over the inertia. Central differences: with steps of
+        1e-6 truncation and rounding leave about 1e-12 of the largest entry of the former.
         """
-        return self._slope(self.acceleration, poses)
+        force = 1.0 + float(np.abs(self.weight).max())  # beside a weight a smaller one would be lost in rounding
+        columns = np.vstack([np.zeros(6), force * np.eye(6)])
+        at = (np.repeat(poses.position, 7, axis=0), np.repeat(poses.quaternion, 7, axis=0))
+        still = np.zeros((7 * len(poses), 6))
+        caused = self.probe.acceleration(*at, still, np.tile(columns, (len(poses), 1))).reshape(-1, 7, 6)
+        per_wrench = (caused[:, 1:] - caused[:, :1]).swapaxes(1, 2) / force  # inverse of the inertia
+        return np.asarray((per_wrench * self.unit / self.unit[:, None]) @ self._slope(self._left, poses))
 
     def _slope(self, of: Callable[[Poses], Array], poses: Poses) -> Array:
         return -by_displacement(of, poses, 1e-6 * self.unit) * self.unit / self.unit[:, None]
@@ -143,14 +154,20 @@ class Rest(Scene):
     ) -> tuple[Poses, Mask]:
         """Return zeros by Newton's method from each start, and which converged (last step below 1e-8).
 
-        Of `acceleration`, which are equilibria, or of another function from poses (n,) to (n, 6), linear and angular.
+        Of the wrench that is left at rest, `spring` and the gravity error, which are equilibria, or of another function
+        from poses (n,) to (n, 6), linear and angular. The acceleration has the same zeros, but the rounding of a weight
+        that the law balances: of 1e6 kg it is larger than what the spring does in a step of a derivative.
         """
-        field = self.acceleration if of is None else of
+        field = self._left if of is None else of
         poses, last = starts, np.full(len(starts), np.inf)
         for _ in range(rounds):
             slope, value = self._slope(field, poses), field(poses) / self.unit
             usable = np.isfinite(slope).all(axis=(1, 2)) & np.isfinite(value).all(axis=1)
             slope[~usable], value[~usable] = np.eye(6), 0.0
+            # A step does not depend on the unit of an equation, but the condition number does.
+            size = np.abs(slope).max(axis=2)
+            size[size == 0.0] = 1.0
+            slope, value = slope / size[:, :, None], value / size
             usable &= np.linalg.cond(slope) < 1e14  # beyond, a step is rounding
             slope[~usable] = np.eye(6)
             step = np.where(usable[:, None], np.linalg.solve(slope, value[..., None])[..., 0], 0.0)

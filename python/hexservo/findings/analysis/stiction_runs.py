@@ -19,6 +19,8 @@ COUNT = 64  # goals, the scenario's own the first
 _DURATION = 2.0  # [s], at most
 _STEPS = 4000  # at most
 _CHATTER = 5.0  # times what the switching term changes the speed in a step, is called rest
+_BORDER = 1.01  # times K_v: viscous damping lets a platform end on the border of the set, where it comes to rest slowly
+_LEAVING = 0.05  # of K_v: a platform that this accelerates has to be found to move by the end of a run
 _DAMPED = 0.02  # of K_v: most that viscous damping may hold at rest
 _SHARES = (0.3, 0.6, 0.9)  # of the way to an extreme of the set
 
@@ -30,9 +32,11 @@ class Runs:
     fuzzy: bool  # whether the fuzzy systems were on
     duration: float  # [s]
     completed: Mask  # (n,)
-    # (n,) which are compared with the set around home: at rest at the end, but for the chatter of the switching term;
-    # no leg more than a stroke from its length at the goal, as in that set; and not the scenario's own goal
-    counted: Mask
+    too_short: bool  # for a platform that is accelerated by 5 % of K_v to move faster than the chatter
+    # (n,) as slow at the end as the chatter of the switching term; no leg more than a stroke from its length at the
+    # goal, as in the set; and not the scenario's own goal
+    slow: Mask
+    counted: Mask  # (n,) of these, at rest within K_v: compared with the set around home; none if too short
     start_error: Array  # (n,) [px], largest coordinate
     final_error: Array  # (n,) [px]
     start_share: Array  # (n,) largest |w_j|/k_v,j at the start; NaN where every k_v,j is 0
@@ -60,8 +64,9 @@ def run(scene: Scene, law: RestLaw, rest: RestSet, ends: Extremes, kv: Array, fu
         Whether the fuzzy systems are on.
     """
     scenario = scene.scenario
-    steps = min(scenario.simulation.duration, _DURATION) / scenario.simulation.step
-    duration = max(1, min(_STEPS, round(steps))) * scenario.simulation.step
+    wanted = min(scenario.simulation.duration, _DURATION) / scenario.simulation.step
+    steps = max(1, min(_STEPS, round(wanted)))
+    duration = steps * scenario.simulation.step
     name = scenario.controller.law
     changes: dict[str, Any] = {
         **AT_HOME,
@@ -95,8 +100,11 @@ def run(scene: Scene, law: RestLaw, rest: RestSet, ends: Extremes, kv: Array, fu
     at_rest = np.asarray((speed <= still).all(axis=1))
     aims = Poses.joined(scene.home, scene.home.moved(_displacements(rest, ends)))  # that of the first is not used
     near = np.abs(scene.leg_travel(poses) - scene.leg_travel(aims)).max(axis=1) <= scene.stroke
-    counted = completed & at_rest & near
-    counted[0] = False
+    slow = completed & at_rest & near
+    slow[0] = False
+    too_short = steps < _CHATTER / _LEAVING
+    final_share = _share(final, kv)
+    counted = slow & (final_share <= _BORDER) & (not too_short)  # beyond K_v a platform turns, it does not rest
     taken = np.abs(tau[counted]).max(axis=0, initial=0.0)
     widened = replace(rest, low=rest.low - taken, high=rest.high + taken)
     rows = np.vstack([rest.view.jacobian, -rest.view.jacobian])
@@ -106,11 +114,13 @@ def run(scene: Scene, law: RestLaw, rest: RestSet, ends: Extremes, kv: Array, fu
         fuzzy=fuzzy,
         duration=duration,
         completed=completed,
+        too_short=too_short,
+        slow=slow,
         counted=counted,
         start_error=np.abs(goals - home.features).max(axis=1),
         final_error=np.abs(batch.samples["feature_error"]).max(axis=1),
         start_share=_share(start, kv),
-        final_share=_share(final, kv),
+        final_share=final_share,
         fuzzy_output=tau,
         bound=float(np.abs(rest.error - reached @ rest.view.jacobian.T).max()),
     )

@@ -16,7 +16,6 @@ from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section
 from hexservo.scenario.wording import quantity
 
 PAGE = "docs/analysis/stiction.md"
-_BORDER = 1.01  # times K_v: viscous damping lets a platform end on the border of the set, where it comes to rest slowly
 
 
 def section(found: Stiction) -> Section:
@@ -168,9 +167,19 @@ def _of_runs(runs: Runs) -> str:
     counted = runs.counted
     with_fuzzy = "with" if runs.fuzzy else "without"
     bound = runs.bound
+    if runs.too_short:
+        return (
+            f"Runs of {quantity(runs.duration, 's')} {with_fuzzy} fuzzy systems are too short to find which platforms "
+            "rest: a longer simulation.duration has longer ones, up to 2 s."
+        )
     if not counted.any():
         return f"Of {len(counted) - 1} runs of {number(runs.duration)} s {with_fuzzy} fuzzy systems none came to rest."
-    inside = int((runs.final_share[counted] <= _BORDER).sum())
+    beyond = int((runs.slow & ~counted).sum())
+    turning = (
+        f"; {beyond} more {'is' if beyond == 1 else 'are'} as slow at the end, but beyond K_v, and will move on"
+        if beyond
+        else ""
+    )
     largest = float(runs.final_error[counted].max())
     own = (
         f"; the scenario's own goal is {number(runs.final_error[0])} px away after this time"
@@ -179,10 +188,10 @@ def _of_runs(runs: Runs) -> str:
     )
     return (
         f"Of {len(counted) - 1} runs of {number(runs.duration)} s {with_fuzzy} fuzzy systems to goals near the start "
-        f"{int(counted.sum())} came to rest, {inside} of them within K_v, with up to {number(largest)} px: "
+        f"{int(counted.sum())} came to rest within K_v, with up to {number(largest)} px: "
         f"{_share_of_bound(runs):.0%} of the {number(bound)} px that the set has there"
         + (", including the output of the fuzzy systems" if runs.fuzzy else "")
-        + f"{own}."
+        + f"{turning}{own}."
     )
 
 
@@ -336,7 +345,7 @@ def _data(found: Stiction) -> dict[str, object]:
         if found.around_home is None or found.around_home.ends is None
         else found.around_home.ends.largest,
         "runs": [
-            picked(runs, "fuzzy duration bound counted start_error final_error start_share final_share")
+            picked(runs, "fuzzy duration too_short bound slow counted start_error final_error start_share final_share")
             for runs in found.runs
         ],
     }

@@ -20,6 +20,7 @@ _CRANK_STEPS, _CRANK_ROUNDS = 200, 20000  # of the same with cranks: steps in a 
 _TOLERANCE = 1e-9  # of the stroke and of joint limits: where the march ends
 _SINGULAR = 1e-6  # smallest singular value of H about the joints' mean, moments divided by r_p: the march ends there
 _NEARER = 0.1  # of a leg's length, by which it changes at most in one step of the march
+_FIRST = 1e-3  # of a leg's length: the first step of a leg that is at the end of its stroke and leaves it
 WAY = 51  # poses on the straight way to the goal
 _GRID = 41  # of the map, each way
 
@@ -138,8 +139,9 @@ def reach(scene: Scene, direction: Array) -> Reach:
 
     Lengths, tilts and singular values of the legs change no faster than bounds that follow from the motion of the
     platform joints, so that what is left bounds how far the next step may go without passing a limit: the march never
-    steps over one. The angle of a crank has no such bound near its reach: there the march takes steps of 1/200 of the
-    stroke, and halves the one that passed a limit.
+    steps over one. A leg that home has at the end of its stroke limits only the directions that take it farther. The
+    angle of a crank has no such bound near its reach: there the march takes steps of 1/200 of the stroke, and halves
+    the one that passed a limit.
 
     Parameters
     ----------
@@ -163,9 +165,12 @@ def reaches(scene: Scene, directions: Array) -> list[Reach]:
     marching = np.arange(len(directions))
     # Below the rounding of a length the march does not come any nearer.
     end = max(_TOLERANCE, 4.0 * np.finfo(float).eps * float(np.max(scene.hexapod.home_lengths)) / scene.stroke)
+    free = _leaving(scene, directions, speed, arm * turning**2, end)
     for last in np.arange(_ROUNDS) == _ROUNDS - 1:
         poses = scene.home.moved(distance[marching, None] * directions[marching])
         left = 1.0 - scene.limits_used(poses)  # (n, k, 6), shares
+        leaving = distance[marching, None] < free[marching]
+        left[:, 0][leaving] = 1.0
         singular = _distance_to_singular(scene, poses)
         at_limit = left.min(axis=(1, 2)) <= end
         ended = at_limit | (singular <= _SINGULAR) | last
@@ -174,6 +179,7 @@ def reaches(scene: Scene, directions: Array) -> list[Reach]:
         on = ~ended & (turning[marching] * distance[marching] <= np.pi)
         lengths = (scene.leg_travel(poses) + scene.hexapod.mid_lengths).min(axis=1)
         steps = _steps(scene, left, singular, lengths, speed[marching], turning[marching])
+        steps = np.minimum(steps, np.where(leaving, free[marching] - distance[marching, None], np.inf).min(axis=1))
         distance[marching[on]] += steps[on]
         marching = marching[on]
         if not len(marching):
@@ -181,6 +187,37 @@ def reaches(scene: Scene, directions: Array) -> list[Reach]:
     distance[[leg == 0 and limit == "none" for leg, limit in found]] = np.inf
     ends = zip(directions, distance.tolist(), found, strict=True)
     return [Reach(direction, far, leg, limit) for direction, far, (leg, limit) in ends]
+
+
+def _leaving(scene: Scene, directions: Array, speed: Array, bend: Array, end: float) -> Array:
+    """Return up to which distances (n, 6) legs at the end of their stroke at home are within it; 0 for all others.
+
+    A length changes at a rate `a` along a direction, and its second derivative is at most `c = speed^2/l + |p''|`: a
+    leg that leaves its end at `a` is not back before `2 a/c`. Half of that is used, and no more than the stroke or a
+    tenth of the leg. Where `a` is zero the curvature decides, by a small step.
+
+    Parameters
+    ----------
+    scene, directions
+        As in `reaches`.
+    speed, bend
+        (n,), largest first and second derivative of a platform joint's position by the distance [m; m].
+    end
+        Share of the stroke below which a leg is at its end.
+    """
+    travel = scene.leg_travel(scene.home)
+    outwards = np.where(np.abs(1.0 - np.abs(travel) / scene.stroke) <= end, np.sign(travel), 0.0)
+    if not outwards.any():
+        return np.zeros((len(directions), 6))
+    length = np.asarray(scene.hexapod.home_lengths)
+    inwards = -outwards * np.array([scene.leg_rates(scene.home, direction) for direction in directions])
+    curvature = speed[:, None] ** 2 / ((1.0 - _NEARER) * length) + bend[:, None]
+    free = np.minimum(inwards / curvature, np.minimum(scene.stroke, _NEARER * length) / speed[:, None])
+    first = _FIRST * float(length.min()) / speed
+    probed = scene.leg_travel(scene.home.moved(first[:, None] * directions))
+    curved = np.where(outwards * (probed - travel) < 0.0, first[:, None], 0.0)
+    free = np.where(np.abs(inwards) > _TOLERANCE * speed[:, None], free, curved)
+    return np.where(outwards != 0.0, np.maximum(free, 0.0), 0.0)
 
 
 def _distance_to_singular(scene: Scene, poses: Poses) -> Array:

@@ -9,7 +9,7 @@ from hexservo.findings.certificate.uncertainty import AXES
 from hexservo.findings.certificate.words import markers
 from hexservo.findings.evidence import Column, Curves, Line, Section, Table, Verdict, picked
 from hexservo.scenario.laws import SMOOTH_KINDS
-from hexservo.scenario.wording import joules, number, shown_unit
+from hexservo.scenario.wording import counted, joules, number, shown_unit
 
 PAGE = "docs/certificate/lyapunov.md"
 _ROWS = 12  # of the table of rises, at most
@@ -151,7 +151,7 @@ def _items(found: Lyapunov) -> tuple[Table | Curves, ...]:
             (Column("its power", grows), lambda rise: rise.power * per_watt),
             (Column("gamma of the axis"), lambda rise: rise.gamma),
         ],
-        note=f"{len(rises)} intervals in all. gamma in N or N m.",
+        note=f"{counted(len(rises), 'interval')} in all. gamma in N or N m.",
         page=PAGE,
     )
     rate_chart = Curves(

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hexservo.findings.certificate.replay import Plant, Replay, product
 from hexservo.findings.certificate.weights import BestWeights, best_weights
@@ -15,6 +16,7 @@ from hexservo.scenario.parameters import gains_of
 
 AXES = ("force x", "force y", "force z", "moment x", "moment y", "moment z")
 UNITS = ("N", "N", "N", "N m", "N m", "N m")
+_FEWEST = 2  # samples for each weight that acts (the rank of phi-bar), below which a fit is no evidence
 _ROUNDING = 1e-12  # of the largest force or moment: gamma is a difference of such numbers
 
 
@@ -70,6 +72,7 @@ class Assumption(Part):
     gamma: Array = field(repr=False)  # (n, 6), Delta-tau - tau_f* [N; N m]
     time: Array = field(repr=False)  # (n,) [s]
     rounding: Array = field(repr=False)  # (6,), what rounding leaves of a gamma_j that is zero [N; N m]
+    rank: NDArray[np.intp]  # (6,), of phi-bar over the samples: how many weights act independently; 0 without
 
     @property
     def margin(self) -> Array:
@@ -79,15 +82,34 @@ class Assumption(Part):
     @property
     def held(self) -> Mask:
         """(6,), whether the axis kept the assumption, but for rounding; false also where that is not decided."""
+        return self._fits & ~self.few_samples
+
+    @property
+    def _fits(self) -> Mask:
         return np.asarray(self.margin >= -self.rounding)
 
     @property
+    def few_samples(self) -> Mask:
+        """(6,), whether gamma_j is within k_v,j because few samples are fitted, which is no evidence.
+
+        Of n samples, with fewer than two for each weight that acts, weights exist for most patterns of signs, whatever
+        Delta-tau is (T. M. Cover, "Geometrical and statistical properties of systems of linear inequalities", 1965).
+        Where Delta-tau itself is within k_v, no weights are needed.
+        """
+        fitted = self.largest > self.kv + self.rounding
+        return np.asarray(self._fits & fitted & (len(self.time) < _FEWEST * self.rank))
+
+    @property
     def decided(self) -> Mask:
-        """(6,), whether it is known: false where the program was not solved, and k_v is between bound and error."""
+        """(6,), whether it is known.
+
+        False where the program was not solved and k_v is between bound and error, and where samples are too few.
+        """
         if self.weights is None:
             return np.ones(6, dtype=bool)
         solved = np.array([best.solved for best in self.weights])
-        return np.asarray(solved | self.held | (self.kv < self.lower_bound - self.rounding))
+        known = solved | self._fits | (self.kv < self.lower_bound - self.rounding)
+        return np.asarray(known & ~self.few_samples)
 
     @property
     def ideal(self) -> Array:
@@ -110,7 +132,7 @@ def assumption_of(run: Replay, uncertainty: DeltaTau, *, smallest: bool = True) 
     total = uncertainty.total
     largest = np.abs(total).max(axis=0)
     if uncertainty.basis is None:
-        weights, gamma, lower = None, total, largest
+        weights, gamma, lower, rank = None, total, largest, np.zeros(6, dtype=np.intp)
     else:
         limits = gains.fuzzy.weight_limit
         weights = tuple(
@@ -118,6 +140,7 @@ def assumption_of(run: Replay, uncertainty: DeltaTau, *, smallest: bool = True) 
         )
         output = np.stack([uncertainty.basis[:, j] @ weights[j].weights for j in range(6)], axis=1)
         gamma, lower = total - output, np.array([best.lower_bound for best in weights])
+        rank = np.linalg.matrix_rank(uncertainty.basis.swapaxes(0, 1))
     return Assumption(
         kv=kv,
         eta=np.abs(gamma).max(axis=0),
@@ -128,4 +151,5 @@ def assumption_of(run: Replay, uncertainty: DeltaTau, *, smallest: bool = True) 
         gamma=gamma,
         rounding=_ROUNDING * np.repeat(np.abs(run.wrench).reshape(-1, 2, 3).max(axis=(0, 2)), 3),
         time=run.time,
+        rank=rank,
     )

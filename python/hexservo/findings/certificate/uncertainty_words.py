@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hexservo.findings.certificate.uncertainty import AXES, UNITS, Assumption
-from hexservo.findings.evidence import Column, Curves, Line, Section, Table, picked
+from hexservo.findings.evidence import Column, Curves, Line, Section, Table, Verdict, picked
 from hexservo.scenario.wording import number
 
 PAGE = "docs/certificate/assumption.md"
@@ -34,7 +34,7 @@ def section(found: Assumption) -> Section:
             f"closest on {AXES[axis]}, where an error of {found.eta[axis]:.3g} {UNITS[axis]} is compared with "
             f"k_v = {found.kv[axis]:.3g} {UNITS[axis]}."
         ]
-    sentences += _unsolved(found)
+    sentences += _unsolved(found) + _few_samples(found)
     if found.weights is None:
         sentences.append("No fuzzy systems act: gamma is Delta-tau itself.")
     else:
@@ -80,17 +80,37 @@ def section(found: Assumption) -> Section:
         title="Assumption of the stability theorem",
         sentences=sentences,
         items=(table, curves) if curves.lines else (table,),
-        verdict="good" if bool(found.held.all()) else "warning",
+        verdict=_verdict(found),
         data={
             **picked(found, "kv eta lower_bound margin held decided"),
             "held_on_all_axes": bool(found.held.all()),
             "largest_uncertainty": found.largest,
             "time_of_largest_error": found.instants,
             "weight_limit": None if found.weights is None else [best.limit for best in found.weights],
+            "rank": found.rank,
+            "few_samples": found.few_samples,
             "limited": None if found.weights is None else [best.limited for best in found.weights],
             "best_weights": found.ideal,
         },
     )
+
+
+def _verdict(found: Assumption) -> Verdict:
+    if bool(found.held.all()):
+        return "good"
+    return "open" if bool((found.held | found.few_samples).all()) else "warning"
+
+
+def _few_samples(found: Assumption) -> list[str]:
+    """Return why the axes are undecided whose weights few samples do not determine."""
+    few = np.flatnonzero(found.few_samples)
+    if not len(few):
+        return []
+    axes = ", ".join(f"{AXES[j]} ({found.rank[j]})" for j in few)
+    return [
+        f"The run has {len(found.time)} samples, fewer than two for each of the independent weights that are fitted to "
+        f"them: {axes}. So few are brought within k_v for most Delta-tau, which is no evidence: certify a longer run."
+    ]
 
 
 def _unsolved(found: Assumption) -> list[str]:
