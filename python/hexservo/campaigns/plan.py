@@ -32,7 +32,7 @@ from hexservo.campaigns.file_keys import (
 )
 from hexservo.campaigns.intervals import JEFFREYS, RARE, Mixture, anytime_interval
 from hexservo.campaigns.loop_numbers import without_loop
-from hexservo.campaigns.refused import refused_draw, refused_scenario
+from hexservo.campaigns.refused import refused_draw, refused_scenario, valid_rows
 from hexservo.campaigns.requirements import Requirement
 from hexservo.campaigns.tune_keys import TunePlan, TuneRule
 from hexservo.campaigns.unfit import unfit, unfit_variable
@@ -51,6 +51,8 @@ from hexservo.scenario.yaml import ScenarioError, dump_yaml, read_yaml
 
 MAX_RUNS = 10**12
 CHUNK_SIZE = 5000
+FEW_DRAWS = 20  # of which no share is known
+MOST_REFUSED = 0.5  # share of draws that are no valid scenarios: above it the file is in error
 MOST_LOG_EVERY = 10**9  # that a scenario may have
 _DURATION, _DWELL = "simulation.duration", "metrics.dwell"
 _OF_TIMES = {"rms_error": "metrics.rms_start", "settling_time": _DWELL}  # metrics of runs that are long enough
@@ -131,15 +133,17 @@ class CampaignPlan(Block):
         if self.tune is not None and self.tune.corners and not 1 <= drawing.dimension <= _MOST_CORNERS:
             got = f"{drawing.dimension} numbers that vary, which have 2^{drawing.dimension} corners"
             raise refusal((("tune", "over"), f"corners: expected 1 to {_MOST_CORNERS} numbers that vary, got {got}"))
-        numbers = drawing.numbers(0, 1)
+        numbers = drawing.numbers(0, FEW_DRAWS)
         try:
             # of a run too, whose samples would not fit a log: a campaign keeps none
             base = self.scenario.updated({**drawing.base, "simulation.log_every": MOST_LOG_EVERY})
-            checked_variations(base, drawing.variations(numbers))
+            checked_variations(base, drawing.variations(drawing.numbers(0, 1)))
         except ValueError as error:
-            of_run = refused_scenario(error) is not None
-            drawn = refused_draw(error, self.scenario, numbers, lambda place: f"run {place}") if of_run else error
-            raise refusal(*((("vary",), line) for line in str(drawn).splitlines())) from None
+            if refused_scenario(error) is None:
+                raise refusal(*((("vary",), line) for line in str(error).splitlines())) from None
+            if len(valid_rows(base, drawing.variations(numbers), FEW_DRAWS)) < (1.0 - MOST_REFUSED) * FEW_DRAWS:
+                drawn = refused_draw(error, self.scenario, numbers, lambda place: f"run {place}")
+                raise refusal(*((("vary",), line) for line in str(drawn).splitlines())) from None
         return self
 
     def required_metrics(self) -> tuple[str, ...]:

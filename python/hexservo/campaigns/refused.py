@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexservo.campaigns.drawing import PLACED
+from hexservo.run.batch import simulate_batch
 from hexservo.run.variations import columns_of
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number
@@ -29,6 +30,50 @@ def refused_scenario(error: ValueError) -> int | None:
     """Return which scenario of a batch an error of `simulate_batch` is about; None for another error."""
     place = _PLACE.search(str(error))
     return None if place is None else int(place["index"])
+
+
+class _ValidError(Exception):
+    """All scenarios of a batch are valid: its runs begin."""
+
+
+def valid_rows(
+    scenario: Scenario, varied: Mapping[str, NDArray[Any]], count: int, *, required: bool = False
+) -> NDArray[np.intp]:
+    """Return which of the scenarios of a batch are valid, in order; few of the others are simulated, until the first ends.
+
+    Parameters
+    ----------
+    scenario, varied
+        As for `simulate_batch`, which names the first scenario that is not valid: those before it are.
+    count
+        Scenarios in the batch.
+    required
+        Whether one that is not valid is an error.
+
+    Raises
+    ------
+    ValueError
+        As `simulate_batch`, unless it is about one of the scenarios, and these are not required to be valid.
+    """
+
+    def begun(done: int, of: int) -> None:
+        if done:  # none while scenarios are checked
+            raise _ValidError
+
+    refused: list[int] = []
+    while (first := refused[-1] + 1 if refused else 0) < count:
+        rest = {key: values if len(values) == 1 else values[first:] for key, values in varied.items()}
+        try:
+            simulate_batch(scenario, rest, "metrics", progress=begun, metrics=())
+            break
+        except _ValidError:
+            break
+        except ValueError as error:
+            place = refused_scenario(error)
+            if place is None or required:
+                raise
+            refused.append(first + place)
+    return np.delete(np.arange(count), refused)
 
 
 def refused_draw(
