@@ -39,7 +39,7 @@ class _ValidError(Exception):
 def valid_rows(
     scenario: Scenario, varied: Mapping[str, NDArray[Any]], count: int, *, required: bool = False
 ) -> NDArray[np.intp]:
-    """Return which of the scenarios of a batch are valid, in order; few of the others are simulated, until the first ends.
+    """Return which of the scenarios of a batch are valid, in order; few of them are simulated, until one ends.
 
     Parameters
     ----------
