@@ -17,7 +17,7 @@ import hexservo as hs
 from hexservo import _core
 from hexservo.findings.check_keys import settings_needed
 from hexservo.report.explorer import LAWS, preset_values
-from hexservo.run.metrics import METRICS
+from hexservo.run.metrics import METRICS, OF_CRANKS
 from hexservo.scenario.flat import plain_value
 from hexservo.scenario.schema import schema
 
@@ -84,7 +84,10 @@ def data() -> dict[str, Any]:
         "twist_laws": [law for law in LAWS if _core.LAW_TRAITS[law].output == "twist"],
         "keys": keys,
         "most_delay": _core.MAX_ACTUATOR_DELAY,
-        "metrics": [{"name": name, "unit": unit, "meaning": text} for name, (unit, text, *_) in METRICS.items()],
+        "metrics": [
+            {"name": name, "unit": unit, "meaning": text, "of_cranks": OF_CRANKS.get(name)}
+            for name, (unit, text) in METRICS.items()
+        ],
         "presets": [preset(name, defaults) for name in names],
     }
 

@@ -137,6 +137,7 @@ void bind_simulation(py::module_& m) {
       .def_readonly("outcome", &Trajectory::outcome)
       .def_readonly("detail", &Trajectory::detail)
       .def_readonly("end_time", &Trajectory::end_time, "time of the last good sample [s]")
+      .def_readonly("stop_time", &Trajectory::stop_time, "time of the step that failed, else of the end [s]")
       .def_readonly("steps", &Trajectory::steps)
       .def_readonly("events", &Trajectory::events)
       .def_readonly("metrics", &Trajectory::metrics);

@@ -164,7 +164,7 @@ HEXSERVO_API hexservo_outcome hexservo_run_outcome(const hexservo_run* run);
 HEXSERVO_API const char* hexservo_outcome_name(hexservo_outcome outcome);
 /** One sentence on how it ended; "" while it runs. */
 HEXSERVO_API const char* hexservo_run_detail(const hexservo_run* run);
-/** Time of the newest good sample [s]. */
+/** Time of the newest good sample [s]; a run that ends early ends a step later. */
 HEXSERVO_API double hexservo_run_time(const hexservo_run* run);
 
 /** What a sample consists of. */
@@ -213,11 +213,11 @@ typedef struct hexservo_limit_event {
   hexservo_limit limit;
   int leg;           /**< 0 to 5 */
   double first_time; /**< [s] */
-  double peak;       /**< largest value of the run, in the unit of the limit */
+  double peak;       /**< largest value of the run, in the unit of the limit; of the event that ended it the last one */
   double largest;    /**< that the limit allows */
 } hexservo_limit_event;
 
-/** Number of limits that legs of a run passed; 0 while it runs. */
+/** Number of limits that legs of a run passed, with the one that ended it, which is the last; 0 while it runs. */
 HEXSERVO_API size_t hexservo_run_event_count(const hexservo_run* run);
 /** Event `index`, in the order of first times, which do not depend on what is logged.
  * @return whether there is one */
@@ -251,7 +251,9 @@ typedef struct hexservo_state hexservo_state;
 
 /** Prepares the controller of a scenario. Of `uncertainty` it takes over what the controller itself assumes wrongly:
  * focal length, principal point, mount, depth where the law has a model of the target's points, and the latency of
- * `sampled` mode.
+ * `sampled` mode. A scenario in continuous mode, as a new one is, has a frame and a pose at every tick and no guard
+ * against a camera that is gone: it is refused where a key of the controller that acts in `sampled` mode alone,
+ * `camera.timeout` for example, has another value than its default.
  * @param period time between two ticks [s], up to 1 s; 0: `simulation.step`
  * @param gains null in case of an error */
 HEXSERVO_API hexservo_status hexservo_gains_create(hexservo_scenario* scenario, double period, hexservo_gains** gains);

@@ -365,8 +365,23 @@ struct GainsFor final : hexservo_gains {
   ControllerGains<Law, N> gains;
 };
 
+/// A key that acts on the controller in `sampled` mode alone guards nothing in another one.
+void require_effect(const Settings& settings) {
+  if (settings.simulation.mode == LoopMode::sampled) return;
+  const Settings defaults = Settings::of(settings.law());
+  for (const ScenarioKey& key : scenario_keys(settings.law())) {
+    if (!key.field.sampled || key.field.concern != Concern::controller) continue;
+    const bool is_default = key.type == KeyType::choice ? choice_of(settings, key) == choice_of(defaults, key)
+                                                        : numbers_of(settings, key) == numbers_of(defaults, key);
+    if (!is_default)
+      refuse(key.name, "its default in continuous mode, where it has no effect on the controller",
+             "another value: set simulation.mode to sampled");
+  }
+}
+
 /// Gains of any law, on the heap where there is no memory for them.
 hexservo_gains* gains_of(const Settings& settings, double period, void* memory, size_t size) {
+  require_effect(settings);
   const double chosen = period == 0.0 ? settings.simulation.step : period;
   return with_loop(settings,
                    [&]<class Law, int N>(std::type_identity<Law>, std::integral_constant<int, N>) -> hexservo_gains* {
@@ -630,7 +645,6 @@ hexservo_state* hexservo_state_place(const hexservo_gains* gains, void* memory, 
 void hexservo_state_destroy(hexservo_state* state) { delete state; }
 
 void hexservo_input_clear(hexservo_input* input) {
-  constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
   *input = {};
   input->now = input->exposure = kUnknown;
   for (double* numbers : {input->twist, input->leg_lengths, input->leg_rates}) std::fill_n(numbers, 6, kUnknown);

@@ -12,10 +12,11 @@ InputStatus status_of(const ServoTick<double, Law>& tick, const ServoState<doubl
   if (tick.command.acts) return InputStatus::valid;
   if (!(seen.joints && seen.usable)) return InputStatus::unusable;
   bool known = seen.complete, recent = seen.fresh;
-  if constexpr (kTracks<Law>) {  // of what it sees it takes single frames
-    known = known && (state.tracking.target.known || tick.command.singular);
-    recent = recent && (state.tracking.recent || tick.command.singular);
-  }
+  if constexpr (kTracks<Law>)
+    if (!tick.command.singular) {  // of what it sees it takes single frames
+      known = known && state.tracking.target.known;
+      recent = recent && state.tracking.recent;
+    }
   if (!known) return InputStatus::missing_image;
   if (!recent) return InputStatus::stale_image;
   return seen.lost ? InputStatus::lost_feature : InputStatus::unusable;

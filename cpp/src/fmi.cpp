@@ -53,6 +53,12 @@ struct Variable {
 /// What FMI calls a failure of this call.
 [[noreturn]] void fail(const std::string& text) { throw std::runtime_error(text); }
 
+std::string with_numbers(const char* format, double first, double second) {
+  char text[200];
+  std::snprintf(text, sizeof text, format, first, second);
+  return text;
+}
+
 template <auto Destroy>
 struct Destroyer {
   template <class T>
@@ -68,6 +74,12 @@ using State = std::unique_ptr<hexservo_state, Destroyer<hexservo_state_destroy>>
 
 void check(hexservo_status status, const Scenario& scenario) {
   if (status != HEXSERVO_OK) fail(hexservo_scenario_message(scenario.get()));
+}
+
+bool is_rotary(const Scenario& scenario) {
+  const char* legs = "";
+  check(hexservo_scenario_get_text(scenario.get(), "robot.legs", &legs), scenario);
+  return std::string(legs) == "rotary";
 }
 
 double number_of(const Scenario& scenario, const char* key) {
@@ -110,7 +122,7 @@ std::string end_of(hexservo_outcome outcome) {
 /// Plant and controller.
 class Loop final : public Model {
  public:
-  Loop(const Scenario& scenario, double start_time) : start_time_(start_time) {
+  Loop(const Scenario& scenario, double start_time) : start_time_(start_time), is_rotary_(is_rotary(scenario)) {
     // No row of the log is read: it has its first and last ones alone.
     const double steps = number_of(scenario, "simulation.duration") / number_of(scenario, "simulation.step");
     if (std::isfinite(steps)) {  // otherwise the run is refused for its own reason
@@ -133,12 +145,26 @@ class Loop final : public Model {
   std::string advance(std::int64_t, std::int64_t count) override {
     hexservo_run_advance(run_.get(), count);
     look();
-    return end_of(hexservo_run_outcome(run_.get()));
+    const hexservo_outcome outcome = hexservo_run_outcome(run_.get());
+    const std::string end = end_of(outcome);
+    return end.empty() ? end
+                       : end + ": " + hexservo_run_detail(run_.get()) + (outcome == HEXSERVO_LEG_LIMIT ? value() : "");
   }
 
   double time() const override { return hexservo_run_time(run_.get()); }
 
  private:
+  /// What the leg that ended the run had, and what its limit allows.
+  std::string value() const {
+    hexservo_limit_event event{};
+    const std::size_t count = hexservo_run_event_count(run_.get());
+    if (count == 0 || hexservo_run_event(run_.get(), count - 1, &event) == 0) return {};
+    const char* unit = "rad";
+    if (event.limit == HEXSERVO_STROKE && !is_rotary_) unit = "m";
+    if (event.limit == HEXSERVO_SPEED) unit = is_rotary_ ? "rad/s" : "m/s";
+    return with_numbers(" (%.6g of %.6g ", event.peak, event.largest) + unit + ")";
+  }
+
   void look() {
     outcome_ = static_cast<double>(hexservo_run_outcome(run_.get()));
     end_time_ = start_time_ + hexservo_run_time(run_.get());
@@ -146,6 +172,7 @@ class Loop final : public Model {
 
   Run run_;
   double start_time_, outcome_ = 0.0, end_time_ = 0.0;
+  bool is_rotary_;
 };
 
 /// Everything but the controller.
@@ -481,12 +508,6 @@ class Unit {
   }
 
   bool is_initialised() const noexcept { return stage_ == Stage::stepping || stage_ == Stage::terminated; }
-
-  static std::string with_numbers(const char* format, double first, double second) {
-    char text[200];
-    std::snprintf(text, sizeof text, format, first, second);
-    return text;
-  }
 
   std::vector<double> parameter(const Variable& variable) const {
     std::size_t count = 0;

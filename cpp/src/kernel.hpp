@@ -13,7 +13,7 @@
 
 namespace hexservo {
 
-inline constexpr int kKernelAbi = 14;                        ///< changes with everything below
+inline constexpr int kKernelAbi = 15;                        ///< changes with everything below
 inline constexpr char kKernelCapsule[] = "hexservo.kernel";  ///< name of the Python capsule that carries a Kernel
 
 inline constexpr int kMetricNumbers = 21;         ///< of `Metrics`, in the order of its `visit`
@@ -53,6 +53,7 @@ struct RunAnswer {
   long long rows;                                               ///< of the log
   int cause;                                                    ///< StopCause as a number
   int limit_leg;                                                ///< leg that ended the run, 0 to 5; -1: none did
+  double limit_value;                                           ///< what it had there, as `LoopRecord::limit_value`
   bool interrupted;                                             ///< stopped on request before its end
 };
 

@@ -148,6 +148,7 @@ void answer(const LoopRecord<S, N>& record, const S& steps, bool stopped, int la
       std::any_of(a.metrics, next, [](double m) { return std::isinf(m); }))
     a.cause = static_cast<int>(StopCause::not_finite);
   a.limit_leg = static_cast<int>(of_lane(record.limit_leg(), lane));
+  a.limit_value = of_lane(record.limit_value(), lane);
   a.interrupted = stopped && a.cause == static_cast<int>(StopCause::none) && a.steps < request.steps;
 }
 

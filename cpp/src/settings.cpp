@@ -761,10 +761,10 @@ HEXSERVO_FOR_EACH_LAW(HEXSERVO_HERE)
 #undef HEXSERVO_HERE
 #undef HEXSERVO_OF
 
-template <int alignment>
-bool library_was_built_with_other_instruction_set_flags() noexcept {
+template <int alignment, int static_alignment, int storage_order, std::size_t settings, std::size_t vector>
+bool library_was_built_with_other_flags() noexcept {
   return false;
 }
-template bool library_was_built_with_other_instruction_set_flags<EIGEN_MAX_ALIGN_BYTES>() noexcept;
+template bool library_was_built_with_other_flags<HEXSERVO_LAYOUT>() noexcept;
 
 }  // namespace hexservo

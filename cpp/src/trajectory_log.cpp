@@ -58,6 +58,24 @@ void add_tilt_events(std::vector<LimitEvent>& events, LimitEvent::Kind kind, con
   add_events(events, kind, first_time, peak, angle_of_chord(limit));
 }
 
+/// The leg beyond a limit that ended a run.
+LimitEvent stop_event(StopCause cause, const RunAnswer& answer, double time, const Hexapod<double>& hexapod) {
+  const auto event = [&](LimitEvent::Kind kind, double peak, double limit) {
+    return LimitEvent{kind, answer.limit_leg, time, peak, limit};
+  };
+  const double value = answer.limit_value;
+  switch (cause) {
+    case StopCause::leg_speed:
+      return event(LimitEvent::Kind::speed, value, hexapod.speed_limit);
+    case StopCause::base_joint:
+      return event(LimitEvent::Kind::base_joint, angle_of_chord(value), angle_of_chord(hexapod.joint_chords(0)));
+    case StopCause::platform_joint:
+      return event(LimitEvent::Kind::platform_joint, angle_of_chord(value), angle_of_chord(hexapod.joint_chords(1)));
+    default:
+      return event(LimitEvent::Kind::stroke, value, hexapod.stroke);
+  }
+}
+
 }  // namespace
 
 std::size_t sample_count(const SimulationSettings& simulation, int points, bool log_weights) {
@@ -88,13 +106,16 @@ Trajectory TrajectoryLog::finish(double step, const Hexapod<double>& hexapod) {
   shorten(log, static_cast<std::size_t>(answer_.rows));
   log.end_time = answer_.end_time;
   log.steps = answer_.steps;
+  log.stop_time = log.end_time;
   if (answer_.interrupted) {
     log.outcome = Outcome::interrupted;
     log.detail = words("stopped on request at t = ", log.end_time, " s");
   } else {
     const auto cause = static_cast<StopCause>(answer_.cause);
     log.outcome = outcome_of(cause);
-    log.detail = describe(cause, static_cast<double>(log.steps) * step, answer_.limit_leg);
+    log.stop_time = static_cast<double>(log.steps) * step;
+    log.detail = describe(cause, log.stop_time, answer_.limit_leg);
+    if (log.outcome == Outcome::leg_limit) log.events.push_back(stop_event(cause, answer_, log.stop_time, hexapod));
   }
   log.fuzzy_weights = weights_from(weights_.data());
   const double* metric = answer_.metrics;

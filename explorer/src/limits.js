@@ -1,4 +1,4 @@
-/** What the robot limits of its legs, and where a run is beyond it. The core reports limits and stops at none, as a rule. */
+/** What the robot limits of its legs, and where a run is beyond it. The core reports limits, and stops there where `robot.on_limit` is stop. */
 import { withUnit } from "./format.js";
 import { framesAt, vectors } from "./machine.js";
 import { valueOf } from "./model.js";
@@ -7,6 +7,10 @@ const ROTARY_UNITS = { m: "rad", "m/s": "rad/s", N: "N m" };
 
 /** Unit of a metric: those of rotary legs are angles and torques. */
 export const unitOfMetric = (state, { name, unit }) => (valueOf(state, "robot.legs") === "rotary" && name.startsWith("peak_leg_") ? ROTARY_UNITS[unit] : unit);
+
+/** Name and meaning of a metric as people read them: cranks have torques and angles. */
+export const wordsOfMetric = (state, { name, meaning, of_cranks: ofCranks }) =>
+  ofCranks && valueOf(state, "robot.legs") === "rotary" ? ofCranks : [name.replaceAll("_", " "), meaning];
 
 /** Limits of the core: metric that has the largest value, its unit, what a leg beyond it does where that is told with the largest value, and how the event is called. */
 const LIMITS = {
@@ -83,8 +87,23 @@ export function isBeyondLimits(state, values) {
   return Object.entries(most).some(([limit, value]) => value !== null && values[LIMITS[limit].name] > value);
 }
 
-/** Events of each limit that legs of a run passed, in the order of the first ones. */
-const byLimit = ({ events }) => [...new Set(events.map(({ limit }) => limit))].map((limit) => events.filter((event) => event.limit === limit));
+/** The event that ended a run; null where none did. */
+const stopOf = ({ outcome, events }) => (outcome === "leg_limit" ? events.at(-1) : null);
+
+/** What the leg that ended a run of a state had, and its limit; "" where none did. */
+export function valueAtStop(state, run) {
+  const stop = stopOf(run);
+  if (!stop) return "";
+  const unit = unitOfMetric(state, limitOf(state, stop.limit));
+  const digits = [4, 6, 8].find((count) => withUnit(stop.peak, unit, count) !== withUnit(stop.most, unit, count)) ?? 10;
+  return ` (${withUnit(stop.peak, unit, digits)} of ${withUnit(stop.most, unit)})`;
+}
+
+/** Events of each limit that legs of a run passed before its end, in the order of the first ones. */
+function byLimit(run) {
+  const events = run.events.filter((event) => event !== stopOf(run));
+  return [...new Set(events.map(({ limit }) => limit))].map((limit) => events.filter((event) => event.limit === limit));
+}
 
 /** The limits that a run of a state passes, as clauses that follow "but"; empty where it passes none. */
 export function passedLimits(state, run) {
@@ -108,8 +127,10 @@ export function happenings(state, run, outside) {
     return { time, kind: "warn", words: `${limitOf(state, limit).called} of leg ${leg}${others}` };
   });
   const isEarly = run.outcome !== "completed";
+  const stop = stopOf(run);
+  const how = stop ? `: ${limitOf(state, stop.limit).called} of leg ${stop.leg}` : "";
   const settles = isEarly || Number.isNaN(run.metrics.settling_time) ? [] : [{ time: run.metrics.settling_time, kind: "good", words: "settles" }];
-  const end = { time: isEarly ? run.steps * valueOf(state, "simulation.step") : run.time, kind: isEarly ? "bad" : "", words: isEarly ? run.outcome.replaceAll("_", " ") : "end" };
+  const end = { time: isEarly ? run.steps * valueOf(state, "simulation.step") : run.time, kind: isEarly ? "bad" : "", words: isEarly ? `${run.outcome.replaceAll("_", " ")}${how}` : "end" };
   const leaves = outside ? [{ time: outside.time, kind: "warn", words: `point ${outside.point} outside of the image` }] : [];
   return [...limits, ...leaves, ...settles].sort((one, other) => one.time - other.time).concat(end);
 }

@@ -7,7 +7,7 @@ import { Runner } from "./engine.js";
 import { short, withUnit } from "./format.js";
 import { Happenings } from "./happenings.js";
 import { ImageView } from "./image.js";
-import { bounds, happenings, middles, passedLimits, restAtStroke, unitOfMetric } from "./limits.js";
+import { bounds, happenings, middles, passedLimits, restAtStroke, unitOfMetric, valueAtStop, wordsOfMetric } from "./limits.js";
 import { ParameterMap } from "./map.js";
 import { actingChanges, changed, drawn, full, groups, laws, metrics, presetOf, presets, readAddress, same, start, textOf, toAddress, toYaml, valueOf, version } from "./model.js";
 import { endsAt, targetAt } from "./machine.js";
@@ -228,7 +228,7 @@ function at(next) {
 function ending(of, run) {
   const { outcome, metrics: values, time, detail, outside } = run;
   const beyond = [...(outside ? [inWords(outside)] : []), ...passedLimits(of, run), ...restAtStroke(of, run)].join(", ");
-  if (outcome !== "completed") return ["bad", `Ends early, ${outcome.replaceAll("_", " ")}${detail ? `: ${detail}` : ""}${beyond && `; before that ${beyond}`}`];
+  if (outcome !== "completed") return ["bad", `Ends early, ${outcome.replaceAll("_", " ")}${detail ? `: ${detail}` : ""}${valueAtStop(of, run)}${beyond && `; before that ${beyond}`}`];
   const band = withUnit(valueOf(of, "metrics.band"), "px");
   if (Number.isNaN(values.settling_time)) return ["warn", `Does not settle: ${withUnit(values.final_error, "px")} from the goal after ${withUnit(time, "s")}${beyond && `, and ${beyond}`}`];
   return [beyond ? "warn" : "good", `Settles within ${band} at ${withUnit(values.settling_time, "s")}${beyond && `, but ${beyond}`}`];
@@ -280,11 +280,11 @@ function origin(of) {
 
 let rows = null;
 function table() {
-  rows ??= metrics.map(({ name, unit, meaning }) => {
+  rows ??= metrics.map((metric) => {
     const cells = [element("td"), element("td")];
-    const about = element("details", {}, element("summary", {}, name.replaceAll("_", " ")), element("span", {}, meaning));
-    $("metrics").append(element("tr", { title: meaning }, element("th", { scope: "row" }, about), ...cells));
-    return { name, unit, cells };
+    const words = [element("summary"), element("span")];
+    $("metrics").append(element("tr", {}, element("th", { scope: "row" }, element("details", {}, ...words)), ...cells));
+    return { metric, words, cells };
   });
   const { pinned } = result.state;
   const against = itsReference();
@@ -292,8 +292,11 @@ function table() {
   const differs = against && result.isChanged && !reason;
   const label = pinned ? pinnedLabel(result.state, pinned) : "preset";
   write($("of-preset"), unmet().length ? `${label}, refused` : reason ? `${label}, not comparable: ${reason}` : label);
-  for (const { name, unit: known, cells } of rows) {
-    const unitOf = (state) => unitOfMetric(state, { name, unit: known }); // of two kinds of legs they differ
+  for (const { metric, words, cells } of rows) {
+    const { name } = metric;
+    const unitOf = (state) => unitOfMetric(state, metric); // of two kinds of legs they differ
+    wordsOfMetric(result.state, metric).forEach((text, i) => write(words[i], text));
+    cells[0].parentElement.title = words[1].textContent;
     const [value, before] = [result.metrics[name], against?.metrics[name] ?? NaN];
     cells[0].parentElement.hidden = Number.isNaN(value) && Number.isNaN(before) && name !== "settling_time";
     write(cells[0], withUnit(value, unitOf(result.state)));

@@ -3,7 +3,7 @@ import { element, fromPlace, shown, sliders, toPlace } from "./controls.js";
 import { Crew } from "./engine.js";
 import { borders, drawBorders, settledAround } from "./borders.js";
 import { short, withUnit } from "./format.js";
-import { isBeyondLimits, unitOfMetric } from "./limits.js";
+import { isBeyondLimits, unitOfMetric, wordsOfMetric } from "./limits.js";
 import { actingChanges, drawn, metrics, same, valueOf } from "./model.js";
 import { cleared, colours, isShortcut, pointIn, write } from "./view.js";
 
@@ -74,7 +74,7 @@ export class ParameterMap {
     this.y = box.querySelector("[name=y]");
     this.by = box.querySelector("[name=metric]");
     this.button = box.querySelector("button");
-    this.by.append(...metrics.map(({ name }) => element("option", { value: name }, name.replaceAll("_", " "))), element("option", { value: "outcome" }, "outcome"));
+    this.by.append(...metrics.map(({ name }) => element("option", { value: name })), element("option", { value: "outcome" }, "outcome"));
     this.refusal = "";
     this.button.addEventListener("click", () => (this.running ? this.stop() : this.start()));
     this.by.addEventListener("change", () => this.draw());
@@ -89,6 +89,7 @@ export class ParameterMap {
   show(state) {
     if (state !== this.state) this.refusal = "";
     this.state = state;
+    metrics.forEach((metric, i) => write(this.by.options[i], wordsOfMetric(state, metric)[0]));
     this.isStale = Boolean(this.cells) && this.isOfAnother(state);
     if (this.isStale && this.running) this.stop();
     const list = sliders(state);
@@ -355,7 +356,7 @@ export class ParameterMap {
 
   look(at) {
     const cell = at && this.cells?.[at[1] * SIZE + at[0]];
-    this.canvas.title = cell ? `${this.by.value === "outcome" ? "" : `${this.by.value.replaceAll("_", " ")} `}${this.told(cell)}` : "";
+    this.canvas.title = cell ? `${this.by.value === "outcome" ? "" : `${this.by.selectedOptions[0].textContent} `}${this.told(cell)}` : "";
   }
 
   told(cell) {

@@ -350,6 +350,27 @@ TEST_CASE("a clock that stands still for long stops a law that predicts") {
   REQUIRE_FALSE(step(gains, state, input).invalid_input());
 }
 
+TEST_CASE("what a fresh input does not have is not known") {
+  const Gains gains = controller_gains<Hybrid>(settings_for(SwitchingKind::sign), kPeriod);
+  Random random(81);
+  CAPTURE(random.seed());
+  const ControllerInput good = random_input(random, gains);
+  for (int part = 0; part < 4; ++part) {
+    State state = initial_state(gains);
+    ControllerInput input;
+    input.now = input.frame.exposure = good.now;
+    input.frame.image = good.frame.image;
+    input.twist = good.twist;
+    input.pose = good.pose;
+    if (part == 1) input.frame.image = ControllerInput{}.frame.image;
+    if (part == 2) input.pose = ControllerInput{}.pose;
+    if (part == 3) input.frame.image.features.tail<2>() = ControllerInput{}.frame.image.features.tail<2>();
+    const InputStatus expected[] = {InputStatus::valid, InputStatus::missing_image, InputStatus::unusable,
+                                    InputStatus::missing_image};
+    CHECK(step(gains, state, input).status == expected[part]);
+  }
+}
+
 TEST_CASE("errors of the camera that act in sampled mode alone do not change the tick of a continuous scenario") {
   const Settings settings = settings_for(SwitchingKind::saturation);
   Settings wrong = settings;

@@ -45,9 +45,10 @@ def goal_at(scenario: hs.Scenario, way: Direction, size: float) -> hs.Scenario:
     return scenario.updated({"target.desired_features": hs.project(scenario, size * way.unit).tolist()})
 
 
-def of_seeds(settled: int) -> str:
-    """Return what the section states of runs with four other seeds."""
-    return "of 4 runs with other seeds " + ["none settle", "1 settles", "2 settle", "3 settle", "all settle"][settled]
+def of_seeds(settled: int, duration: float = 2.0) -> str:
+    """Return what the section states of runs with four other seeds, of a duration [s]."""
+    runs = f"of 4 runs of {duration:g} s with other seeds "
+    return runs + ["none settle", "1 settles", "2 settle", "3 settle", "all settle"][settled]
 
 
 # ---- The border of what was tried -----------------------------------------------------------------------------------
@@ -95,8 +96,9 @@ def test_goals_outside_the_image_are_not_possible() -> None:
 def test_numbers_of_seeds_that_settle_are_in_the_singular_and_plural(found: LargestStart) -> None:
     way = found.directions[0]
     for settled in range(5):
-        assert _by_seeds(replace(way, reseeded=(True,) * settled + (False,) * (4 - settled))) == of_seeds(settled)
-    assert _by_seeds(replace(way, reseeded=())) == ""
+        seeds = (True,) * settled + (False,) * (4 - settled)
+        assert _by_seeds(found, replace(way, reseeded=seeds)) == of_seeds(settled, found.duration)
+    assert _by_seeds(found, replace(way, reseeded=())) == ""
 
 
 def test_periods_that_a_run_does_not_show_are_not_tried() -> None:
@@ -270,7 +272,7 @@ def test_a_limit_of_camera_times_in_noise_is_repeated_with_other_seeds() -> None
     assert list(period.reseeded) == single[1:]
     assert not single[0]
     words = " ".join(_timing_words(found))
-    assert f"does not ({of_seeds(sum(single))}; some larger ones settle, up to" in words
+    assert f"does not ({of_seeds(sum(single), 10.0)}; some larger ones settle, up to" in words
 
 
 def test_a_limit_of_starting_errors_in_noise_is_repeated_with_other_seeds() -> None:

@@ -131,6 +131,32 @@ def test_a_log_in_memory_names_the_tick_out_of_order() -> None:
         Log(np.where(time == time[30], time[28], time), 0.01, legs, legs, None)
 
 
+@pytest.mark.parametrize(
+    ("time", "words"),
+    [
+        (
+            lambda t: t + 2.0 * (t > 2.995),
+            "a tick every 0.01 s, got none for 2.01 s from 2.99 s after the first on; cut",
+        ),
+        (
+            lambda t: t + 5.0 * (t > 4.995),
+            "a tick every 0.01 s, got none for 5.01 s from 4.99 s after the first on; cut",
+        ),
+        (
+            lambda t: t + 5.0 * (t > 9.985),
+            "a tick every 0.01 s, got none for 5.01 s from 9.98 s after the first on; cut",
+        ),
+        (lambda t: 100.0 * t, r"got one every 1: are they in ms\? .* A count of ticks is none of seconds: multiply"),
+        (lambda t: t - 0.01 * (t == t[500]), "tick 500, time: .* got 4.99 after 4.99; keep one of the two ticks"),
+    ],
+)
+def test_pauses_counts_and_repeated_times_are_named(time: Callable[[Array], Array], words: str) -> None:
+    legs = np.full((1000, 6), 0.2)
+    times = np.round(time(0.01 * np.arange(1000.0)), 9)
+    with pytest.raises(ValueError, match=words):
+        Log(times, period_of(times), legs, legs, None)
+
+
 def test_special_files_are_refused_at_once(tmp_path: Path) -> None:
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)

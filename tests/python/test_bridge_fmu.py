@@ -370,6 +370,29 @@ def test_a_run_that_fails_terminates_the_unit(make: Any, fmi: int) -> None:
         unit.step(scenario.simulation.step)
 
 
+@pytest.mark.parametrize(
+    ("base", "unit_of_leg", "changes"),
+    [
+        ("fails-leg-limits", "m", {}),
+        ("real-machine", "m/s", {"robot.speed_limit": 0.02, "robot.on_limit": "stop"}),
+        ("reachy-mini-head", "rad", {"robot.stroke": 0.05, "robot.on_limit": "stop"}),
+    ],
+)
+def test_the_log_has_the_leg_that_ends_a_run(make: Any, base: str, unit_of_leg: str, changes: dict[str, Any]) -> None:
+    """With its limit, its value and the time, as the last event of the core's run has them."""
+    scenario = hs.load_scenario(base).updated(changes)
+    run = _core.simulate(core_parameters(scenario), load_kernel("baseline"))
+    event = run.events[-1]
+    assert run.outcome.name == "leg_limit"
+    made = make(scenario, 3)
+    messages: list[bytes] = []
+    unit = Unit(made.folder, made.description, logMessage=lambda *told: messages.append(told[-1]))
+    unit.start()
+    assert not unit.step(scenario.simulation.duration)
+    value = f"{event.peak:.6g} of {event.limit:.6g} {unit_of_leg}"
+    assert [text.decode() for text in messages] == [f"the run has ended: leg_limit: {run.detail} ({value})"]
+
+
 @pytest.mark.parametrize("fmi", VERSIONS)
 def test_a_start_time_is_set_once_and_is_not_negative(make: Any, fmi: int) -> None:
     made = make(hs.load_scenario("paper").updated(SHORT), fmi)

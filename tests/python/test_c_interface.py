@@ -430,6 +430,7 @@ def numbers(line: str) -> Array:
         ("paper-gravity", {"controller.law": "composite", "simulation.duration": 0.5}),
         ("fails-gravity", {"simulation.duration": 0.5, "simulation.log_every": 100}),  # legs beyond stroke and force
         ("real-machine", {"simulation.duration": 0.5}),
+        ("fails-leg-limits", {}),  # which a leg beyond its stroke ends
     ],
 )
 def test_a_program_in_c_and_python_agree_bit_for_bit(client: Path, name: str, changes: dict[str, object]) -> None:
@@ -452,9 +453,9 @@ def test_a_program_in_c_and_python_agree_bit_for_bit(client: Path, name: str, ch
     assert [numbers(line).tolist() for line in events] == [
         [e.kind.value, e.leg, e.first_time, e.peak, e.limit] for e in run.events
     ]
-    assert bool(events) == (name == "fails-gravity")
+    assert bool(events) == name.startswith("fails-")
     lines = [line for line in lines if line not in events]
-    rows = round(scenario.simulation.duration / scenario.simulation.step) + 1
+    rows = round(run.end_time / scenario.simulation.step) + 1
     sampled = scenario.simulation.mode == "sampled"
     assert lines[len(QUANTITIES) + 1] == (
         f"{rows} of {rows} ticks are equal"
@@ -507,6 +508,29 @@ def test_the_memory_structs_suffice(library: ctypes.CDLL, scenario: Handle, law:
     print(f"{law}, {points} points: {needed[0]} and {needed[1]} bytes")
     assert 0 < needed[0] <= room("gains")
     assert 0 < needed[1] <= room("state")
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("camera.timeout", "0.1"), ("camera.on_lost", "stop"), ("sensors.pose", "encoders")]
+)
+def test_gains_of_a_continuous_scenario_have_no_key_that_does_not_act(
+    library: ctypes.CDLL, scenario: Handle, key: str, value: str
+) -> None:
+    """A timeout that does nothing is no guard against a camera that is gone."""
+    for name, text in flat(hs.load_scenario("paper")).items():
+        assert scenario.set(name, text) == OK, scenario.message()
+    gains = ctypes.c_void_p()
+    create = [scenario.handle, ctypes.c_double(0.0), ctypes.byref(gains)]
+    assert library.hexservo_gains_create(*create) == OK, scenario.message()
+    library.hexservo_gains_destroy(gains)
+    assert scenario.set(key, value) == OK
+    assert library.hexservo_gains_create(*create) != OK
+    assert gains.value is None
+    assert scenario.message().startswith(f"{key}: expected its default in continuous mode, where it has no effect")
+    assert scenario.set("simulation.mode", "sampled") == OK
+    assert scenario.set("camera.noise", "0.1") == OK
+    assert library.hexservo_gains_create(*create) == OK, scenario.message()
+    library.hexservo_gains_destroy(gains)
 
 
 def ticked(scenario: hs.Scenario, ticks: int) -> list[Array]:

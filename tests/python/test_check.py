@@ -16,6 +16,7 @@ from hexservo import _core
 from hexservo.findings.analysis.linear_law import NotFiniteError
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check import fastest_rate, unlikely
+from hexservo.findings.check_gains import start_forces
 from hexservo.findings.check_keys import keys_without_effect, needed_by, settings_needed
 from hexservo.scenario.blocks import Robot
 from hexservo.scenario.core_defaults import core_default
@@ -350,11 +351,43 @@ def test_a_slope_of_the_switching_term_counts(paper: hs.Scenario) -> None:
 def test_motors_that_do_not_overcome_their_friction() -> None:
     """0.1 N m of friction and 0.021 N m of weight: with a limit of 0.11 the head does not arrive, with 0.13 it does."""
     head = hs.load_scenario("reachy-mini-motors")
-    start = "robot.force_limit: 0.11 N m does not move leg 6 against actuators.motor.friction, 0.1 N m"
+    start = "robot.force_limit: 0.11 N m does not move leg 6 against actuators.motor.friction and the platform's weight"
     for limit, arrives in ((0.11, False), (0.13, True)):
         scenario = head.updated({"robot.force_limit": limit})
         assert (hs.metrics(hs.simulate(scenario))["final_error"] < head.metrics.band) == arrives
         assert any(line.startswith(start) for line in unlikely(scenario)) != arrives
+
+
+@pytest.mark.parametrize(
+    ("name", "friction", "legs"), [("paper", None, 0.133667), ("reachy-mini-motors", 0.5, 0.521034)]
+)
+def test_a_force_limit_and_what_exceeds_it_are_two_numbers(name: str, friction: float | None, legs: float) -> None:
+    """A limit that is just too small is written with the digits that tell it from what the legs need."""
+    scenario = hs.load_scenario(name)
+    if friction is not None:
+        scenario = scenario.updated({"actuators.motor.friction": friction})
+    scene = scene_of(scenario)
+    needed = float(np.abs(scene.resting_forces(scene.home)).max()) + (friction or 0.0)
+    assert needed == pytest.approx(legs, rel=1e-4)
+    for share in (0.999, 0.99999):
+        line = next(
+            each for each in unlikely(scenario.updated({"robot.force_limit": share * needed})) if "limit" in each
+        )
+        limit, takes = (float(number) for number in re.findall(r"([\d.]+) N", line))
+        assert limit < takes, line
+        assert limit == pytest.approx(share * needed, rel=0.5 * (1.0 - share))
+        assert takes == pytest.approx(needed, rel=0.5 * (1.0 - share))
+
+
+def test_what_the_law_needs_and_what_a_leg_has_are_two_numbers() -> None:
+    paper = hs.load_scenario("paper")
+    needed = float(np.abs(sum(start_forces(scene_of(paper)))).max())
+    line = next(
+        each for each in unlikely(paper.updated({"robot.force_limit": 0.99999 * needed})) if "at the start" in each
+    )
+    takes, has = (float(number) for number in re.findall(r"([\d.]+) mN", line))
+    assert has < takes, line
+    assert takes == pytest.approx(1e3 * needed, rel=2e-5)
 
 
 @pytest.mark.parametrize(

@@ -519,6 +519,57 @@ def test_a_clock_that_is_not_in_seconds_is_unusable(timeout: float | None) -> No
     assert statuses == [*["valid"] * 39, *["valid" if timeout is None else "unusable"] * 6, "valid"]
 
 
+@pytest.mark.parametrize(("unit", "works"), [(60.0, False), (1000.0, False), (10.0, True)])
+def test_a_clock_that_crawls_counts_as_one_that_stands_still(unit: float, works: bool) -> None:
+    """In minutes it goes on by a sixtieth of a period; the rates and ages that come of it mean nothing."""
+    changes = {"camera.prediction": "none", "camera.timeout": 0.1, "sensors.pose": "true"}
+    scenario = hs.load_scenario("composite-30hz").updated(changes)
+    controller, period = hs.Controller(scenario), scenario.simulation.step
+    given = {**good_input(scenario), "features": scenario.target.desired_features}
+    statuses = [controller.step(**given, now=5.0 + tick * period / unit).status for tick in range(30)]
+    assert statuses == (["valid"] * 30 if works else [*["valid"] * 11, *["unusable"] * 19])
+    assert controller.step(**given, now=6.0).status == "valid"
+
+
+def at(position: ArrayLike, paper: hs.Scenario) -> dict[str, Any]:
+    return {**good_input(paper), "position": position}
+
+
+def test_a_pose_that_the_platform_cannot_have_come_to_is_unusable(paper: hs.Scenario) -> None:
+    """In millimetres, or one wrong reading: the safe output is computed from neither."""
+    controller, place = hs.Controller(paper), np.array([0.001, -0.002, -0.151])
+    assert controller.step(**at(1e3 * place, paper)).status == "unusable"
+    legs = _core.Hexapod(core_parameters(paper).robot)
+    longest = max(legs.home_lengths)  # of a machine whose legs have no cranks: between their joints
+    for wrong in (1.01 * longest, 1.0, 1e7):
+        assert controller.step(**at(place, paper)).status == "valid"
+        out = controller.step(**at(np.add(place, [wrong, 0.0, 0.0]), paper))
+        assert out.status == "unusable"
+        np.testing.assert_allclose(out.wrench, GRAVITY, atol=1e-12)
+    assert controller.step(**at(place, paper)).status == "valid"
+    assert controller.step(**at(np.add(place, [0.99 * longest, 0.0, 0.0]), paper)).status == "valid"
+
+
+def test_a_state_that_was_stored_refuses_the_same_poses(paper: hs.Scenario) -> None:
+    controller, place = hs.Controller(paper), np.array([0.001, -0.002, -0.151])
+    controller.step(**at(place, paper))
+    later = copy.deepcopy(controller)
+    for one in (controller, later):
+        assert one.step(**at(np.add(place, [1.0, 0.0, 0.0]), paper)).status == "unusable"
+
+
+def test_readings_may_be_half_a_tick_late(read_out: hs.Scenario) -> None:
+    """No loop ticks exactly on time."""
+    home = np.array(_core.Hexapod(core_parameters(read_out).robot).home_lengths)
+    image: dict[str, Any] = {"features": np.array(read_out.target.initial_features), "depth": np.full(4, -0.5)}
+    period = read_out.simulation.step
+    for late, status in ((0.4, "valid"), (0.6, "unusable")):
+        controller = hs.Controller(read_out)
+        controller.step(**image, leg_lengths=home, now=1.0)
+        controller.step(now=1.0 + period)
+        assert controller.step(now=1.0 + (2.0 + late) * period).status == status
+
+
 @pytest.mark.parametrize(
     ("key", "wrong", "acts"),
     [

@@ -26,6 +26,7 @@ from diagnosis_faults import FAULTS, KEPT_APART, shipped
 from diagnosis_faults import variation as draw
 from diagnosis_statistics import count, failing, of_size, totals
 from hexservo.findings.analysis.reach import reach_of_start_and_goal
+from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.diagnosis import ranking
 from hexservo.findings.diagnosis.causes import CAUSES
 from hexservo.findings.diagnosis.criterion import DRIFT_TIME, Allowed, Record, judge, make_record
@@ -44,7 +45,7 @@ from hexservo.findings.diagnosis.gains import slower
 from hexservo.findings.diagnosis.goal import goal_of, pixels_per_metre, seen_from_home, spread_target
 from hexservo.findings.diagnosis.model import Case, Removal
 from hexservo.findings.diagnosis.ranking import Study, controls, judged, make_cases, pairs, rank, study
-from hexservo.findings.diagnosis.runs import Run, record_of, run_all
+from hexservo.findings.diagnosis.runs import Run, displacements_in_base, record_of, run_all
 from hexservo.findings.diagnosis.words import ends, misses, warnings_of
 from hexservo.findings.evidence import Curves, Table
 from hexservo.scenario.fitted import machine_of, target_filter
@@ -547,7 +548,7 @@ def record_by_hand(
     samples = {"feature_error": features, "leg_lengths": legs}
     target = np.zeros((len(error), 3))
     target[:, 0] = 0.0 if displacement is None else displacement
-    return make_record(outcome, "", float(time[-1]), metrics, time, samples, target, keep=True)
+    return make_record(outcome, "", time[-1], time[-1], "", metrics, time, samples, target, keep=True)
 
 
 ALLOWED = Allowed(band=2.0, dwell=0.2, stroke=0.017, duration=10.0)
@@ -614,6 +615,34 @@ def test_a_drift_is_the_slope_that_both_of_the_last_quarters_have() -> None:
     limit = ALLOWED.stroke / DRIFT_TIME
     assert not judge(record_by_hand(flat, 0.99 * limit * time), ALLOWED).failed
     assert judge(record_by_hand(flat, 1.01 * limit * time), ALLOWED).failed
+
+
+@pytest.mark.parametrize("rolls", [False, True])
+def test_legs_that_follow_a_target_in_the_world_do_not_drift(rolls: bool) -> None:
+    """A slow swell moves the base, or rolls it, in one direction for the whole run: a target on the base stands still.
+
+    Its displacement in B is that of the points: the image of a platform that stands still moves by as much.
+    """
+    swell: dict[str, Any] = {"kind": "sinusoid", "amplitude": [1e-3, 0.0, 0.0], "frequency": 0.03}
+    if rolls:
+        swell = {"rotation": {"kind": "sinusoid", "amplitude": [0.0, 0.05, 0.0], "frequency": 0.03}}
+    scenario = hs.load_scenario("composite-30hz").updated(
+        {"base_motion": swell, "target.frame": "world", "camera.noise": 0.0, "simulation.duration": 4.0}
+    )
+    result = hs.simulate(scenario)
+    diagnosis = hs.diagnose(result)
+    assert diagnosis.failed is False, diagnosis.criteria
+    legs = result.leg_lengths[result.time > 2.0]
+    speed = np.abs(legs[-1] - legs[0]).max() / 2.0
+    print(f"legs follow at {1e3 * speed:.2g} mm/s")
+    assert speed > scenario.robot.stroke / DRIFT_TIME
+    times = np.linspace(0.0, 4.0, 41)
+    moved = displacements_in_base(scenario, times)
+    place, attitude, *_ = scene_of(scenario).probe.base_motion(times)
+    points = scene_of(scenario).points
+    each = np.array([(points - at) @ turned for at, turned in zip(place, attitude, strict=True)])
+    np.testing.assert_allclose(moved, each.mean(axis=1) - points.mean(axis=0), atol=1e-15)
+    assert not displacements_in_base(scenario.updated({"target.frame": "base"}), times).any()
 
 
 def test_legs_that_follow_a_target_do_not_drift() -> None:

@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 import hexservo as hs
 from hexservo.cli.commands import app
 from hexservo.findings.analysis.scene import Scene
+from hexservo.findings.evidence import Table
 from hexservo.findings.identification.changes import changes_of, faults_of
 from hexservo.findings.identification.drives import MOST_DELAY, Drives, fit_drives
 from hexservo.findings.identification.drives_words import with_interval
@@ -100,6 +101,32 @@ def test_bandwidth_and_damping_are_keys_together_or_not_at_all(
         assert keys_of(one, other, unknown) == {}
         pair = keys_of(one, other, Interval(0.25, 0.24, 0.26))
         assert pair["damping"] / (np.pi * pair["bandwidth"]) == pytest.approx(0.25, rel=1e-5)
+
+
+def test_the_table_of_keys_names_what_the_log_does_not_determine(
+    paper: hs.Scenario, slow_legs: tuple[Log, Drives], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a delay in ticks of 20 ms: 1.4, and at the most that is tried; and of a pair that no leg determines."""
+    log, slow = slow_legs
+    machine = paper.updated({"simulation.mode": "sampled", "simulation.step": 0.005, "actuators.delay": 0.035})
+    known = Interval(1.0, 0.9, 1.1)
+    unknown = Interval(1.0, -np.inf, np.inf)
+
+    def rows_of(delay: Interval, response: Interval) -> dict[str, Any]:
+        found = with_fits(slow, delay=[delay] * 6, bandwidth=[response] * 6, damping=[response] * 6, lag=[response] * 6)
+        found = replace(found, fits=tuple(replace(fit, at_edge=not response.is_bounded) for fit in found.fits))
+        monkeypatch.setattr("hexservo.findings.identification.fit_drives", lambda *_, **__: found)
+        (table,) = hs.identify(log, machine).sections()[-1].items
+        assert isinstance(table, Table)
+        return {str(key): value for key, value, _ in table.rows}
+
+    rows = rows_of(Interval(1.4, 1.3, 1.5), known)
+    assert rows["actuators.delay"] == "0.02 (0.028 before rounding)"
+    assert rows["actuators.position.bandwidth"] == "1"
+    rows = rows_of(Interval(8.0, 7.5, np.inf), unknown)
+    assert rows["actuators.delay"] == "0.04 (not determined, whole ticks)"
+    assert rows["actuators.position.bandwidth"].endswith(" (not determined)")
+    assert rows["actuators.position.damping"].endswith(" (not determined)")
 
 
 def with_fits(found: Drives, **changed: list[Any]) -> Drives:

@@ -417,14 +417,18 @@ def test_a_run_that_is_pinned_takes_the_place_of_the_presets(visit: Visit) -> No
 def test_a_pinned_run_of_legs_of_another_kind_has_its_own_units(visit: Visit) -> None:
     """Excursions are angles of cranks or lengths, forces of legs torques or forces: not comparable."""
     page = visit.page
-    units = {"reachy-mini": {"excursion": "°", "force": "N m"}, "paper": {"excursion": "mm", "force": "N"}}
+    units = {"reachy-mini": ("°", "N m"), "paper": ("mm", "N")}
+    names = {
+        "reachy-mini": ("peak crank excursion", "peak crank torque"),
+        "paper": ("peak leg excursion", "peak leg force"),
+    }
     for own, pinned in ("reachy-mini", "paper"), ("paper", "reachy-mini"):
         visit.go(f"#{own}&simulation.duration=2&pinned={pinned}%26simulation.duration=2")
         page.wait_for_function("name => explorer.reference?.state.preset === name", arg=pinned)
-        for name in ("excursion", "force"):
-            cells = page.locator("#metrics tr", has_text=f"peak leg {name}").locator("td").all_inner_texts()
+        for place, name in enumerate(names[own]):
+            cells = page.locator("#metrics tr", has_text=name).locator("td").all_inner_texts()
             found = [re.sub(r"^[\d.]+ ?", "", cell) for cell in cells]
-            assert found == [units[own][name], units[pinned][name]], cells
+            assert found == [units[own][place], units[pinned][place]], cells
         assert page.locator("#of-preset").inner_text().endswith(", not comparable: another kind of legs")
 
 
@@ -813,6 +817,31 @@ def test_legs_that_take_positions_and_end_at_their_stroke_are_named(visit: Visit
     visit.go("#pi-h824-positions&robot.stroke=0.001")
     words = page.locator("#verdict").inner_text()
     assert re.search(r", and legs \d(, \d)+ are at the end of their stroke of 1 mm$", words), words
+
+
+@in_browser
+def test_a_leg_that_ends_a_run_is_named_with_its_value(visit: Visit) -> None:
+    """At the time at which the run ended, once: no limit was passed before that."""
+    page = visit.page
+    visit.go("#fails-leg-limits")
+    event = hs.simulate(hs.load_scenario("fails-leg-limits")).stop_event
+    assert event is not None
+    end = f"leg {event.leg} passed its stroke at t = {event.time:.12g} s ({1e3 * event.peak:.4g} mm of 17 mm)"
+    assert page.locator("#verdict").inner_text() == f"Ends early, leg limit: {end}"
+    told = page.locator("#happenings button:visible").all_inner_texts()
+    assert told[-1] == f"{event.time:.4g} s leg limit: stroke of leg {event.leg}"
+    assert not any("stroke" in item for item in told[:-1])
+
+
+@in_browser
+def test_metrics_of_cranks_have_their_names(visit: Visit) -> None:
+    page = visit.page
+    for name, words in (("reachy-mini-head", "peak crank torque"), ("paper", "peak leg force")):
+        visit.go(f"#{name}")
+        rows = page.locator("#metrics summary").all_inner_texts()
+        assert rows[list(METRICS).index("peak_leg_force")] == words
+        chosen = page.locator("[name=metric] option[value=peak_leg_force]")
+        assert chosen.evaluate("option => option.textContent") == words
 
 
 @in_browser

@@ -305,7 +305,8 @@ def reader(
 
 # of the library, which is not linked here
 OTHER_FLAGS = (
-    "template <int> bool hexservo::library_was_built_with_other_instruction_set_flags() noexcept { return false; }"
+    "template <int, int, int, std::size_t, std::size_t> "
+    "bool hexservo::library_was_built_with_other_flags() noexcept { return false; }"
 )
 
 

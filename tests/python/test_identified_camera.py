@@ -96,6 +96,30 @@ def test_a_slow_beat_of_ticks_and_frames_is_within_the_interval(jitter: float) -
     assert hits >= least_of(count)
 
 
+@pytest.mark.parametrize("whole", [1, 2, 3])
+def test_a_period_of_whole_ticks_is_known_to_a_tick_in_the_time_of_all_frames(whole: int) -> None:
+    """Frames at every tick, or every second or third: their times have no scatter, and no step below their period."""
+    tick, random = 0.02, np.random.default_rng(SEED)
+    ticks = tick * np.arange(1000.0)
+    for off in (0.0, 1e-5, -1e-5):
+        period = whole * tick * (1.0 + off)
+        times = tick * np.ceil((random.uniform(0.0, 1.0) + period * np.arange(300)) / tick - 1e-9)
+        found = clock(times, ticks)
+        assert found is not None
+        assert within(found[0], period)
+        assert 0.9 * tick <= 299 * (found[0].high - found[0].low) <= 2.01 * tick
+
+
+def test_frames_at_ticks_are_known_by_the_ticks_of_their_log(paper: hs.Scenario) -> None:
+    log = seen_log(paper, 0.05, stamps=None, moving=False)
+    assert log.frames is not None
+    arrival = log.time[35::3][: len(log.frames.arrival)]
+    camera = fit_camera(replace(log, frames=replace(log.frames, arrival=arrival)), Scene(paper))
+    assert camera.period is not None
+    assert camera.period.value == pytest.approx(0.03)
+    assert camera.period.high - camera.period.low == pytest.approx(2 * 0.01 / (len(arrival) - 1), rel=1e-3)
+
+
 def test_a_camera_without_a_period_keeps_its_keys(paper: hs.Scenario) -> None:
     log = seen_log(paper, 0.05, stamps=None)
     found = CameraFit(100, latency=None, explained=1.0)

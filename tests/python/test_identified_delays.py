@@ -64,7 +64,7 @@ def fitted_to(delay: float) -> tuple[Log, Drives]:
 def test_a_response_with_any_delay_is_scipy_s(delay: float, damping: float) -> None:
     """To 1e-5 of the jumps: a pole of 30 Hz, of 8 Hz with damping 2, is followed to less between parts of 2.5 ms."""
     commands = 0.2 + wandering(np.random.default_rng(SEED), 200, TICK, 1e-3, 0.2)[:, :1]
-    record = LegRecord(commands[:, 0], commands[:, 0], TICK, 140)
+    record = LegRecord(commands[:, 0], commands[:, 0], TICK, 140, np.ones(len(commands), dtype=bool))
     first = commands[0, 0]
     values = np.array([BANDWIDTH, damping, np.inf, np.inf, first, 0.0, first, 0.0, delay])
     true = response(commands, delay, damping)[:, 0]

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 import hexservo as hs
 from hexservo.findings.analysis.scene import Scene
-from hexservo.findings.identification.changes import changes_of, of_law
+from hexservo.findings.identification.changes import changes_of, in_whole_ticks, of_law
 from hexservo.findings.identification.frames import fit_camera
-from hexservo.findings.identification.frames_outliers import outliers_of
+from hexservo.findings.identification.frames_outliers import NoOutliers, Outliers, outliers_of
 from hexservo.findings.identification.log import Log
 from hexservo.findings.identification.rounding import grid_of
 from test_identification import SEED, seen_log, within
@@ -40,7 +40,7 @@ def with_outliers(log: Log, probability: float, size: float, random: np.random.G
 def test_wrong_detections_are_no_noise(paper: hs.Scenario, jitter: float, probability: float, size: float) -> None:
     log = seen_log(paper, 0.05, stamps=None, jitter=jitter)
     camera = fit_camera(with_outliers(log, probability, size, np.random.default_rng(SEED)), Scene(paper))
-    assert camera.outliers is not None
+    assert isinstance(camera.outliers, Outliers)
     assert camera.outliers.searched == 135
     assert camera.noise is not None
     assert camera.noise.value == pytest.approx(0.2, rel=4 / np.sqrt(2 * 0.7 * 100 * 7))  # four standard deviations
@@ -64,7 +64,7 @@ def test_wrong_detections_of_one_frame_or_that_stay_are_no_keys(paper: hs.Scenar
         camera = fit_camera(changed(log, features), Scene(paper))
         assert camera.noise is not None
         assert camera.noise.value == pytest.approx(0.2, rel=4 / np.sqrt(2 * 0.7 * 127 * 7))
-        assert camera.outliers is not None
+        assert isinstance(camera.outliers, Outliers)
         assert camera.outliers.frames == len(frames)
         changes = changes_of(log, paper, drives_of_seen_log(), camera)
         assert not any(key.startswith("camera.outlier") for key in changes)
@@ -81,8 +81,43 @@ def test_gaussian_noise_of_late_frames_has_no_wrong_detections(points: int) -> N
         moves = random.random((346, 1)) < 0.5
         speed = random.normal(size=(346, 2 * points)) * np.where(moves, 100.0, 1e-3)
         left = 0.1 * random.normal(size=speed.shape) + speed * random.uniform(-0.02, 0.02, (346, 1))
-        found += outliers_of(left, speed) is not None
+        found += isinstance(outliers_of(left, speed), tuple)
     assert found <= 6
+
+
+def test_a_log_without_wrong_detections_excludes_those_that_would_be_seen(paper: hs.Scenario) -> None:
+    """Of 540 points: 5 % that are 20 px off, and neither 0.1 %, of which one in two such logs has none, nor 0.3 px."""
+    log = seen_log(paper, 0.05, stamps=None)
+    camera = fit_camera(log, Scene(paper))
+    assert isinstance(camera.outliers, NoOutliers)
+    assert camera.outliers.points == 540
+    for probability, size, excluded in (
+        (0.05, 20.0, True),
+        (0.001, 20.0, False),
+        (0.05, 0.3, False),
+        (0.0, 0.0, False),
+    ):
+        keys = {"camera.outlier_probability": probability, "camera.outlier_size": size}
+        machine = paper.updated({"simulation.mode": "sampled", **keys})
+        changes = changes_of(log, machine, drives_of_seen_log(), camera)
+        assert changes.get("camera.outlier_probability") == (0.0 if excluded else None)
+        identified = machine.updated(changes | in_whole_ticks(machine, changes)).camera
+        assert identified.outlier_probability == (0.0 if excluded else probability)
+
+
+def test_the_chance_to_see_no_wrong_detection_is_that_of_drawn_ones() -> None:
+    """Errors of 1 px under a noise of 0.2 px, of 300 points: the given share is that which 5 % of the logs lack."""
+    random, none, count = np.random.default_rng(SEED), 0, 400
+    clean = outliers_of(0.2 * random.normal(size=(75, 8)), np.zeros((75, 8)))
+    assert isinstance(clean, NoOutliers)
+    shares = np.geomspace(1e-4, 0.5, 2000)
+    share = float(shares[[clean.exclude(float(one), 1.0) for one in shares].index(True)])
+    for _ in range(count):
+        left = 0.2 * random.normal(size=(75, 4, 2))
+        left += (random.random((75, 4)) < share)[..., None] * random.normal(0.0, 1.0, left.shape)
+        none += isinstance(outliers_of(left.reshape(75, 8), np.zeros((75, 8))), NoOutliers)
+    print(f"seed {SEED}, share {share:.4f}: {none} of {count} logs show none")
+    assert 5 <= none <= 38  # 5 % of 400, and four standard deviations
 
 
 def test_how_often_and_how_far_counts_those_that_noise_hides() -> None:
@@ -92,7 +127,7 @@ def test_how_often_and_how_far_counts_those_that_noise_hides() -> None:
         left = 0.2 * random.normal(size=(1500, 9, 2))
         left += (random.random((1500, 9)) < 0.02)[..., None] * random.normal(0.0, 1.0, left.shape)
         found = outliers_of(left.reshape(1500, 18), np.zeros((1500, 18)))
-        assert found is not None
+        assert isinstance(found, tuple)
         hits += [within(found[1].probability, 0.02), within(found[1].size, 1.0)]
     assert (hits >= 40).all(), hits
 

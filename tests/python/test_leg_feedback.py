@@ -10,10 +10,13 @@ from numpy.typing import NDArray
 from scipy.signal import cont2discrete
 
 import hexservo as hs
+from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check import unlikely
 from hexservo.findings.diagnosis.causes import CAUSES
 from hexservo.findings.diagnosis.environment import alone_pairs
 from hexservo.findings.diagnosis.model import Case
+from hexservo.findings.motor_modes import motor_modes
+from hexservo.scenario.keys import value_at
 from test_tracking import TICK, head
 
 
@@ -103,7 +106,7 @@ def test_the_margin_of_the_integral_is_where_a_pole_leaves_the_unit_circle(
 
 
 def test_an_integral_at_its_margin_makes_motors_with_friction_oscillate() -> None:
-    """And half of it lets them settle: the response lacks friction and load, so they bear less than a leg of it."""
+    """And half of it lets them settle, with their friction."""
     motors = hs.load_scenario("reachy-mini-motors").updated({"actuators.delay": 0.06})
     margin = hs.integral_margin(motors)
     half, whole = (
@@ -113,6 +116,48 @@ def test_an_integral_at_its_margin_makes_motors_with_friction_oscillate() -> Non
     print(f"margin {margin:.2f} 1/s, settled after {half['settling_time']} s and {whole['settling_time']} s")
     assert half["settling_time"] < 2.0
     assert np.isnan(whole["settling_time"])
+
+
+OF_THE_LOOP = ("actuators.delay", "actuators.position.bandwidth", "actuators.position.damping")
+WITHOUT_FRICTION = {
+    "actuators.motor.friction": 0.0,
+    "camera.noise": 0.0,
+    "sensors.resolution": 0.0,
+    "controller.tracking.band": [1e-5] * 3 + [1e-4] * 3,
+    "simulation.duration": 8.0,
+}
+
+
+@pytest.mark.parametrize(
+    "changes", [{}, {"actuators.delay": 0.06}, {"actuators.motor.kp": 4.0}], ids=["stiff", "late", "soft"]
+)
+def test_motors_oscillate_from_the_margin_of_their_own_motions_on(changes: dict[str, Any]) -> None:
+    """Not from that of the response that the law assumes: the platform couples motors, and they yield to it."""
+    motors = hs.load_scenario("reachy-mini-motors").updated({**WITHOUT_FRICTION, **changes})
+    margin = hs.integral_margin(motors)
+    assumed = hs.integral_margin(head(0.0).updated({key: value_at(motors, key) for key in OF_THE_LOOP}))
+    moves = []
+    for share in (0.9, 1.1):
+        run = hs.simulate(motors.updated({"controller.tracking.integral": share * margin}))
+        moves.append(float(np.ptp(run.leg_lengths[run.time > run.end_time - 2.0], axis=0).max()))
+    print(f"{margin:.3g} 1/s, by the assumed response {assumed:.3g}: cranks move by {moves} rad in their last 2 s")
+    assert margin < 0.95 * assumed
+    assert moves[0] < 1e-3
+    assert moves[1] > 0.05
+
+
+def test_the_motions_of_motors_are_those_of_the_mass_matrix_at_the_legs() -> None:
+    """By H^-1 D H^-T, not by the accelerations that forces of the legs cause."""
+    scenario = hs.load_scenario("reachy-mini-motors").updated({"robot.gravity": 0.0, "actuators.motor.armature": 0.002})
+    scene = scene_of(scenario)
+    w, damping = (motor_modes(scene)[:6] * [2.0 * np.pi, 1.0]).T
+    motor = scenario.actuators.motor
+    maps = scene.wrench_maps(scene.start)
+    inertia = np.asarray(scene.probe.inertia(scene.start.rows.quaternion)[0])  # no error of it is assumed
+    at_legs = np.linalg.solve(maps, np.linalg.solve(maps, inertia).T) + motor.armature * np.eye(6)
+    squares = np.sort(np.linalg.eigvals(np.linalg.solve(at_legs, motor.kp * np.eye(6))).real)
+    np.testing.assert_allclose(np.sort(w**2), squares, rtol=1e-9)
+    np.testing.assert_allclose(2.0 * damping * w, (motor.kv + motor.damping) / motor.kp * w**2, rtol=1e-12)
 
 
 def test_an_integral_of_more_than_half_its_margin_is_noted() -> None:

@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 
 import hexservo as hs
 from hexservo import _core
-from hexservo.bridges.mujoco_model import LEFT_OUT, mjcf, not_in_model
+from hexservo.bridges.mujoco_model import LEFT_OUT, keyframe_notes, mjcf, not_in_model
 from hexservo.cli.commands import app
 from hexservo.scenario.keys import keys_below
 from hexservo.scenario.parameters import core_parameters
@@ -323,6 +323,51 @@ def test_the_command_names_what_the_model_leaves_out(tmp_path: Path) -> None:
     file.write_text(plain.updated({"actuators.delay": 0.002, "camera.noise": 0.1}).to_yaml(), encoding="utf-8")
     result = CliRunner().invoke(app, ["export", str(file), "--mjcf", str(tmp_path / "mine.xml")])
     assert result.stdout.splitlines()[1:] == ["Note: not in the model: camera.noise, actuators.delay."]
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "unit"),
+    [
+        ("paper-nominal", {}, "N"),
+        ("paper-nominal", {"simulation.mode": "sampled", "actuators.saturation": True}, "N"),
+        ("reachy-mini-head", {"actuators.saturation": True}, "N m"),
+        ("reachy-mini-motors", {}, "N m"),
+    ],
+)
+def test_keyframes_beyond_the_range_of_the_actuators_are_noted(
+    name: str, changes: dict[str, Any], unit: str, tmp_path: Path
+) -> None:
+    """In the file and in what the command prints, where MuJoCo's own forces at the keyframe are beyond the range."""
+    scenario = hs.load_scenario(name).updated(changes)
+    free = mujoco.MjModel.from_xml_string(mjcf(scenario))
+    data = mujoco.MjData(free)
+    mujoco.mj_resetDataKeyframe(free, data, 0)
+    mujoco.mj_forward(free, data)
+    takes = np.abs(data.actuator_force)
+    assert not keyframe_notes(scenario)
+    assert "Keyframe" not in mjcf(scenario)
+    tight = scenario.updated(
+        {"robot.force_limit": 0.5 * (takes.min() + takes.max()) if np.ptp(takes) > 1e-6 else 0.9 * takes.max()}
+    )
+    limit = tight.robot.force_limit
+    model = mujoco.MjModel.from_xml_string(mjcf(tight))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    acts = np.abs(data.actuator_force).max() <= limit * (1 + 1e-12)  # MuJoCo itself limits what it needs
+    note = keyframe_notes(tight)[0]
+    beyond = np.flatnonzero(takes > limit) + 1
+    which = {1: f"leg {beyond[0]} takes", 6: "the legs take up to"}.get(
+        len(beyond), f"legs {', '.join(map(str, beyond))} take up to"
+    )
+    assert note.startswith(f"keyframe home: {which} {takes.max():.4g} {unit} to hold the platform, beyond ")
+    assert f"range of {limit:.4g} {unit} (robot.force_limit)" in note
+    assert ("does not stay there" in note) == acts
+    assert f"<!-- K{note[1:]}. -->" in mjcf(tight)
+    file = tmp_path / "mine.yaml"
+    file.write_text(tight.to_yaml(), encoding="utf-8")
+    result = CliRunner().invoke(app, ["export", str(file), "--mjcf", str(tmp_path / "mine.xml")])
+    assert f"Note: {note}." in result.stdout.splitlines()
 
 
 def test_every_key_of_the_plant_is_in_the_model_or_left_out() -> None:

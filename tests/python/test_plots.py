@@ -412,7 +412,7 @@ def test_numbers_of_points_stay_within_the_axes() -> None:
 @pytest.mark.parametrize("draw", [plots.feature_paths, *TIME_FIGURES])
 def test_a_run_that_did_not_complete_says_so(draw: Callable[[hs.Result], Figure], paper: hs.Result) -> None:
     diverged = run(**{"controller.jacobian": "printed"})
-    assert [text.get_text() for text in draw(diverged).texts] == ["diverged after 0.04 s"]
+    assert [text.get_text() for text in draw(diverged).texts] == ["diverged after 0.041 s"]
     assert not draw(paper).texts
 
 

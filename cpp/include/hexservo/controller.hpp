@@ -32,11 +32,11 @@ struct CameraFrameOf {
   /// When it was exposed, by the clock of `ControllerInput::now` [s]; NaN: no frame arrived since the last tick. Of two
   /// frames the one that was exposed later counts, whichever arrives first. Where `camera.latency_known` is false: when
   /// it arrived, or any other time that lies the same unknown time after its exposure.
-  double exposure = std::numeric_limits<double>::quiet_NaN();
+  double exposure = kUnknown;
   /// Measured pixels of the points as the scenario's camera counts them, NaN for a point that the frame does not show,
   /// and depths Z-hat at the exposure, negative in front of the camera [m]. The tick rectifies them. Places behind the
   /// target's points are not looked at.
-  Image<double, N> image;
+  Image<double, N> image = {Vector<double, 2 * N>::Constant(kUnknown), Vector<double, N>::Constant(kUnknown)};
 };
 using CameraFrame = CameraFrameOf<kPoints>;
 
@@ -46,8 +46,8 @@ struct ControllerInputOf {
   double now = 0.0;  ///< time of the tick, by a clock that never goes back and started within days [s]
   CameraFrameOf<N> frame;
   /// Where `sensors.pose` is true: pose from the leg lengths, in B; the quaternion need not be of unit length.
-  Pose<double> pose;
-  Vector6<double> twist = Vector6<double>::Constant(std::numeric_limits<double>::quiet_NaN());  ///< [m/s; rad/s]
+  Pose<double> pose = {Vector3<double>::Constant(kUnknown), Vector4<double>::Constant(kUnknown)};
+  Vector6<double> twist = Vector6<double>::Constant(kUnknown);  ///< [m/s; rad/s]
   /// Where `sensors.pose` is `encoders`: lengths of the legs [m], or nothing at a tick without a reading; and their
   /// rates [m/s] where `sensors.rate` is true, otherwise differences of the lengths are taken.
   LegReading<double> joints;
@@ -70,8 +70,6 @@ enum class InputStatus {
   lost_feature    ///< the newest frame does not show every point, and `camera.on_lost` is `stop`
 };
 
-inline constexpr double kUnknownTime = std::numeric_limits<double>::quiet_NaN();
-
 /// What a tick gives back.
 struct ControllerOutput {
   Vector6<double> wrench;        ///< tau, about E's origin, in B [N; N m]
@@ -88,7 +86,7 @@ struct ControllerOutput {
   Vector6<double> leg_positions;
   /// Where `camera.latency_known` is false: what the latency was found to be, and the shortest and the longest that it
   /// may be [s]; NaN where frames carry their exposure.
-  LatencyRange<double> latency = {kUnknownTime, kUnknownTime, kUnknownTime};
+  LatencyRange<double> latency = {kUnknown, kUnknown, kUnknown};
 
   bool invalid_input() const noexcept { return status != InputStatus::valid; }
 };
@@ -124,9 +122,9 @@ ControllerState<Law, N> initial_state(const ControllerGains<Law, N>& gains,
 /// One tick of (14), (15) with (13); the weights then advance by forward Euler over the period, (22).
 ///
 /// Inputs that are not finite, features or twist beyond the limits at which a run counts as diverged
-/// (`kMaxFeatureError`, `kMaxTwist`), a quaternion without a length, leg lengths that belong to no pose near the one
-/// before, a point that is not in front of the camera, a frame from the future, a singular pose, or forces that
-/// overflow make the output safe: see `ControllerOutput::status`.
+/// (`kMaxFeatureError`, `kMaxTwist`), a quaternion without a length, a pose farther from the one before than a leg is
+/// long, leg lengths that belong to no pose near that, a point that is not in front of the camera, a frame from the
+/// future, a singular pose, or forces that overflow make the output safe: see `ControllerOutput::status`.
 template <class Law, int N>
 ControllerOutput step(const ControllerGains<Law, N>& gains, ControllerState<Law, N>& state,
                       const std::type_identity_t<ControllerInputOf<N>>& input) noexcept;

@@ -45,6 +45,8 @@ class LoopRecord {
   const MetricsAccumulator<S, N>& metrics() const noexcept { return *metrics_; }
   /// Leg that ended a lane, 0 to 5; -1 where none did.
   const S& limit_leg() const noexcept { return limit_leg_; }
+  /// What that leg had there, in the unit of its limit; of a joint the chord of its tilt.
+  const S& limit_value() const noexcept { return limit_value_; }
 
   /// Stops the lanes that may not go on to a state.
   /// @param nearest largest Z_i on the way there [m]
@@ -166,6 +168,7 @@ class LoopRecord {
     }
     const Mask<S> beyond = leg >= S(0.0);
     limit_leg_ = select(beyond & running(), leg, limit_leg_);
+    limit_value_ = select(beyond & running(), farthest, limit_value_);
     stop(cause, beyond);
   }
 
@@ -179,6 +182,7 @@ class LoopRecord {
   S sample_time_{0.0};
   S cause_{0.0};
   S limit_leg_{-1.0};
+  S limit_value_{0.0};
   bool stops_at_limit_;
   bool samples_legs_;   ///< in every sample, whether they are looked at or not
   bool measures_legs_;  ///< whether a metric does

@@ -53,6 +53,9 @@ struct Sensing {
 /// How far a time may be off a tick, or an age off its limit, and still be at it: rounding [ticks].
 inline constexpr double kTickTolerance = 1e-6;
 
+/// How much later than twice their period readings of encoders may be [ticks]: no loop ticks exactly on time.
+inline constexpr double kLateReading = 0.5;
+
 /// Longest way of the clock from one tick to the next as the joints' readings count it [ticks]: of a sum that is
 /// larger, rounding would leave no time between later readings.
 inline constexpr double kLongestTick = 1e9;
@@ -63,6 +66,14 @@ inline constexpr std::size_t kStandingTicks = 10;
 /// Periods from one tick to the next that are too many for a clock in seconds, where it is so for more than
 /// `kStandingTicks` ticks one after the other.
 inline constexpr double kHurriedPeriods = 100.0;
+
+/// Part of a period from one tick to the next that is too little for one, likewise: such a clock counts as one that
+/// stands still. One in minutes goes on by a sixtieth.
+inline constexpr double kCrawlingPeriods = 0.02;
+
+/// How far from home a first pose may be that is measured as such, in lengths of the longest leg at home; later ones
+/// may be one length from the pose before.
+inline constexpr double kFarthestStart = 10.0;
 
 inline constexpr int kEncoderRounds = 12;  ///< most Newton rounds of a reading: any motion without a singular pose
 
@@ -201,7 +212,6 @@ class PoseHistory {
   }
 
   Pose<S> between(double tick, bool curved) const noexcept {
-    constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
     const std::size_t kept = std::min(count_, entries_.size()), oldest = count_ - kept;
     std::size_t low = oldest, high = count_;
     if (kept == 0 || !(tick >= entries_[place(low)].tick && tick <= entries_[place(high - 1)].tick))
@@ -278,7 +288,7 @@ class Perception {
   /// @param memory of the poses that are kept, taken here alone
   explicit Perception(const Sensing<S, N>& sensing,
                       std::pmr::memory_resource* memory = std::pmr::get_default_resource())
-      : reads_legs_(sensing.pose_source == PoseSource::encoders),
+      : reach_(leg_reach(sensing.hexapod)),
         history_(lifts_points(sensing.frames) ? 2 + oldest_stamp(sensing.frames) + sensing.frames.period : 0, memory) {
     now_.image.features.setZero();  // of no consequence but finite
     now_.image.depth.setConstant(S(-1.0));
@@ -325,11 +335,9 @@ class Perception {
   /// computed at each tick.
   template <class F>
   void for_each_member(F&& f) {
-    if (reads_legs_) {
-      f.finite(now_.pose.position);
-      f.finite(now_.pose.quaternion);
-      f(now_.twist);  // of rates that may be NaN
-    }
+    f.finite(now_.pose.position);
+    f.finite(now_.pose.quaternion);
+    f(now_.twist);  // of rates that may be NaN
     f.time(now_.newest);
     f(now_.unsensed);
     f.time(clock_);
@@ -359,8 +367,9 @@ class Perception {
   void follow_clock(const Sensing<S, N>& sensing, double now) noexcept {
     const bool first = clock_ == -kInfinity;
     const bool advances = std::isfinite(now) && now > clock_, stands = now == clock_ && !first;
+    const bool crawls = !first && advances && now - clock_ < kCrawlingPeriods;
     const double missed = clock_failed_ ? 1.0 : static_cast<double>(standing_) + 1.0;  // ticks that it did not count
-    standing_ = stands ? std::min(standing_ + 1, kStandingTicks + 1) : 0;
+    standing_ = stands || crawls ? std::min(standing_ + 1, kStandingTicks + 1) : 0;
     const bool hurries = !first && advances && now - clock_ > kHurriedPeriods;
     hurried_ = hurries ? std::min(hurried_ + 1, kStandingTicks + 1) : 0;
     const bool counts = sensing.pose_source == PoseSource::encoders || lifts_points(sensing.frames) ||
@@ -374,23 +383,51 @@ class Perception {
 
   void sense_joints(const Sensing<S, N>& sensing, const SensorInput<S, N>& input) noexcept {
     now_.read = Mask<S>(false);
-    if (sensing.pose_source == PoseSource::truth) {
-      now_.pose = input.pose;
-      now_.twist = input.twist;
-    } else {
-      read(sensing, input);
-    }
+    const Mask<S> known = sensing.pose_source == PoseSource::truth ? taken(input) : read(sensing, input);
     now_.R_BE = rotation_matrix(now_.pose.quaternion);
-    const S squared_length = now_.pose.quaternion.squaredNorm();
-    now_.joints = is_finite(now_.pose.position) & is_finite(squared_length) & (squared_length > S(0.0)) &
-                  (largest_abs(now_.twist) <= S(kMaxTwist)) & (!now_.unsensed);
-    if (sensing.pose_source == PoseSource::encoders)  // a reading that never comes leaves a pose of long ago
-      now_.joints = now_.joints & (S(joint_time_) - read_at_ <=
-                                   S(2.0 * static_cast<double>(sensing.encoders.period) + kTickTolerance));
+    now_.joints = known & (largest_abs(now_.twist) <= S(kMaxTwist));
+  }
+
+  /// A pose that is measured as such. One that the platform cannot have come to since the one before is none: in
+  /// millimetres, or wrong by itself.
+  /// @return whether it is one
+  Mask<S> taken(const SensorInput<S, N>& input) noexcept {
+    const S reach = select(read_at_ == S(-kInfinity), S(S(kFarthestStart) * reach_), reach_);
+    const S squared_length = input.pose.quaternion.squaredNorm();
+    const Mask<S> known = (Vector3<S>(input.pose.position - now_.pose.position).squaredNorm() <= reach * reach) &
+                          is_finite(squared_length) & (squared_length > S(0.0));
+    if (all(known)) {
+      now_.pose = input.pose;
+    } else {
+      now_.pose = select_pose(known, input.pose, now_.pose);
+    }
+    now_.twist = input.twist;
+    read_at_ = select(known, S(joint_time_), read_at_);
+    return known;
+  }
+
+  /// Longest distance between the joints of a leg at home [m].
+  static S leg_reach(const Hexapod<S>& hexapod) {
+    using std::sqrt;
+    const Matrix3<S> R_BE = rotation_matrix(hexapod.home_quaternion);
+    S longest(0.0);
+    for (int i = 0; i < 6; ++i) {
+      const Vector3<S> leg =
+          hexapod.home_position + R_BE * hexapod.platform_joints_E.col(i) - hexapod.base_joints_B.col(i);
+      longest = max(longest, leg.squaredNorm());
+    }
+    return sqrt(longest);
   }
 
   /// Pose and twist of six lengths, where there are some.
-  void read(const Sensing<S, N>& sensing, const SensorInput<S, N>& input) noexcept {
+  /// @return whether the pose is one to act on: where a reading never comes it is of long ago
+  Mask<S> read(const Sensing<S, N>& sensing, const SensorInput<S, N>& input) noexcept {
+    read_lengths(sensing, input);
+    const S squared_length = now_.pose.quaternion.squaredNorm();
+    return is_finite(now_.pose.position) & is_finite(squared_length) & (squared_length > S(0.0)) & (!now_.unsensed) &
+           (S(joint_time_) - read_at_ <= S(2.0 * static_cast<double>(sensing.encoders.period) + kLateReading));
+  }
+  void read_lengths(const Sensing<S, N>& sensing, const SensorInput<S, N>& input) noexcept {
     const Vector6<S>& lengths = input.joints.lengths;
     Mask<S> reads = lengths(0) == lengths(0);
     for (int i = 1; i < 6; ++i) reads = reads | (lengths(i) == lengths(i));
@@ -539,7 +576,7 @@ class Perception {
   }
 
   Perceived<S, N> now_;
-  bool reads_legs_;            ///< pose and twist are made of them, from those of the tick before
+  S reach_;                    ///< longest distance between the joints of a leg at home [m]
   double clock_ = -kInfinity;  ///< newest time [ticks]
   std::size_t standing_ = 0;   ///< ticks for which it has stood still
   std::size_t hurried_ = 0;    ///< ticks for which it has gone on by more than `kHurriedPeriods`
@@ -553,7 +590,7 @@ class Perception {
   Eigen::Matrix<S, 3, N> candidates_T_;  ///< newest images that the gate left out, lifted [m]
   Vector<S, N> candidate_at_;            ///< their exposures [ticks]; -infinity where there is none
   Vector6<S> lengths_;                   ///< newest reading of the encoders [m]
-  S read_at_ = S(-kInfinity);            ///< its time, of `joint_time_`
+  S read_at_ = S(-kInfinity);            ///< its time, or that of the newest pose that was measured, of `joint_time_`
 };
 
 }  // namespace hexservo

@@ -13,13 +13,6 @@
 
 namespace hexservo {
 
-/// Exists in the library for its own memory layout only. Code that is compiled for another instruction set (-mavx,
-/// -march=native) lays out settings, gains and state differently, and does not link: give both the same flags.
-template <int alignment>
-bool library_was_built_with_other_instruction_set_flags() noexcept;
-[[maybe_unused]] static const bool kOtherLayout =
-    library_was_built_with_other_instruction_set_flags<EIGEN_MAX_ALIGN_BYTES>();
-
 /// Rows of numbers, one after the other, or none.
 using Samples = std::shared_ptr<const std::vector<double>>;
 
@@ -351,5 +344,16 @@ decltype(auto) with_loop(const Settings& settings, F&& function) {
 HEXSERVO_FOR_EACH_LAW(HEXSERVO_ELSEWHERE)
 #undef HEXSERVO_ELSEWHERE
 #undef HEXSERVO_OF
+
+/// Exists in the library for its own memory layout only. Code that is compiled with other flags for the instruction set
+/// (-mavx, -march=native), for Eigen (EIGEN_MAX_STATIC_ALIGN_BYTES, EIGEN_DEFAULT_TO_ROW_MAJOR) or for the standard
+/// library (_GLIBCXX_DEBUG) lays out settings, gains and state differently, and does not link: give both the same
+/// flags.
+template <int alignment, int static_alignment, int storage_order, std::size_t settings, std::size_t vector>
+bool library_was_built_with_other_flags() noexcept;
+#define HEXSERVO_LAYOUT                                                                           \
+  EIGEN_MAX_ALIGN_BYTES, EIGEN_MAX_STATIC_ALIGN_BYTES, EIGEN_DEFAULT_MATRIX_STORAGE_ORDER_OPTION, \
+      sizeof(hexservo::Settings), sizeof(std::pmr::vector<double>)
+[[maybe_unused]] static const bool kOtherLayout = library_was_built_with_other_flags<HEXSERVO_LAYOUT>();
 
 }  // namespace hexservo

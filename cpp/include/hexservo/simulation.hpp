@@ -16,13 +16,14 @@ struct Kernel;
 /// The run loop that was compiled into this library; hexservo's Python package has others (docs/batch.md).
 const Kernel& built_in_kernel() noexcept;
 
-/// A leg beyond one of its limits, reported and not enforced.
+/// A leg beyond one of its limits, which is reported, and ends the run with `LimitPolicy::stop`.
 struct LimitEvent {
   enum class Kind { stroke, force, speed, base_joint, platform_joint };
   Kind kind;
   int leg;            ///< 0 to 5
   double first_time;  ///< [s]
-  double peak;        ///< of the run: |l - middle of the travel| [m], |force| [N], |rate| [m/s] or tilt [rad]
+  double peak;        ///< of the run: |l - middle of the travel| [m], |force| [N], |rate| [m/s] or tilt [rad];
+                      ///< where it ended the run that of the step that failed, which no metric has
   double limit;       ///< likewise
 };
 
@@ -52,6 +53,7 @@ struct Trajectory {
   Outcome outcome = Outcome::completed;
   std::string detail;              ///< one sentence
   double end_time = 0.0;           ///< time of the last good sample [s]
+  double stop_time = 0.0;          ///< time of the step that failed, else `end_time` [s]
   long long steps = 0;             ///< steps taken
   std::vector<LimitEvent> events;  ///< in the order of their first times
   Metrics<double> metrics;

@@ -23,6 +23,7 @@
 #include <Eigen/Geometry>
 
 #include <array>
+#include <limits>
 #include <type_traits>
 
 #if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__)
@@ -49,6 +50,9 @@ template <class S>
 using Matrix7 = Eigen::Matrix<S, 7, 7>;
 template <class S>
 using Matrix36 = Eigen::Matrix<S, 3, 6>;
+
+/// What stands for a number that is not known.
+inline constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
 
 /// (linear x3, angular x3): one value for each half of a wrench, twist or their gains.
 template <class S>

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 from xml.sax.saxutils import escape
 
@@ -14,8 +15,10 @@ from hexservo.findings.analysis.scene import Scene, scene_of
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.keys import default_of, keys_below, value_at
+from hexservo.scenario.leg_units import leg_units
 from hexservo.scenario.scenario import Scenario, require_scenario
 from hexservo.scenario.version import VERSION
+from hexservo.scenario.wording import apart
 
 TITLE = "<!-- hexservo MJCF, format 1 -->"
 """First line of every exported model, which distinguishes it from other files."""
@@ -152,7 +155,8 @@ def mjcf(scenario: Scenario) -> str:
         *(f'    <camprojection name="image{i}" site="target{i}" camera="camera"/>' for i in range(1, seen + 1)),
         "  </sensor>",
         "  <keyframe>",
-        *_keys(scene, np.asarray(settings["simulation.start.twist"])),
+        *(f"    <!-- {note[0].upper()}{note[1:]}. -->" for note in _key_notes(scene)),
+        *(_key_line(scene, key) for key in _keys(scene)),
         "  </keyframe>",
         "</mujoco>",
     ]
@@ -163,6 +167,11 @@ def not_in_model(scenario: Scenario) -> list[str]:
     """Return the keys that a scenario sets, other than to their defaults, and its model leaves out (`LEFT_OUT`)."""
     keys = (key for name in LEFT_OUT for key in keys_below(name))
     return [key for key in keys if value_at(scenario, key) != default_of(key)]
+
+
+def keyframe_notes(scenario: Scenario) -> list[str]:
+    """Return which keyframes of a scenario's model need more than the range of its actuators, a clause each."""
+    return _key_notes(scene_of(scenario))
 
 
 class _Cranks:
@@ -251,9 +260,14 @@ def _site(name: str, position: Array, size: float, colour: str = "0.3 0.3 0.3 1"
     return f'<site name="{name}" pos="{_text(position)}" size="{float(size)!r}" rgba="{colour}"/>'
 
 
+def _is_limited(settings: _core.Settings) -> bool:
+    """Return whether the legs have no more than `robot.force_limit` in the model."""
+    motors = settings["actuators.kind"] == "position_torque"
+    return bool(motors or (settings["simulation.mode"] == SAMPLED_MODE and settings["actuators.saturation"]))
+
+
 def _motor(leg: int, settings: _core.Settings, *, rotary: bool) -> str:
     limit = float(settings["robot.force_limit"])
-    limited = settings["simulation.mode"] == SAMPLED_MODE and settings["actuators.saturation"]
     moves = f'joint="crank{leg}"' if rotary else f'tendon="leg{leg}"'
     if settings["actuators.kind"] == "position_torque":
         return (
@@ -262,7 +276,7 @@ def _motor(leg: int, settings: _core.Settings, *, rotary: bool) -> str:
             f'forcerange="{-limit!r} {limit!r}"/>'
         )
     return (
-        f'<motor name="leg{leg}" {moves} gear="1" ctrllimited="{str(bool(limited)).lower()}" '
+        f'<motor name="leg{leg}" {moves} gear="1" ctrllimited="{str(_is_limited(settings)).lower()}" '
         f'ctrlrange="{-limit!r} {limit!r}"/>'
     )
 
@@ -307,21 +321,59 @@ def _camera(scenario: Scenario, settings: _core.Settings) -> str:
     )
 
 
-def _keys(scene: Scene, twist: Array) -> list[str]:
-    hexapod, body, actuators = scene.hexapod, scene.settings.plant_body, scene.scenario.actuators
+@dataclass(frozen=True)
+class _Key:
+    """A keyframe at rest or in motion, with the efforts of the legs that hold the platform there."""
 
-    def key(name: str, pose: Poses, twist: Array) -> str:
-        # MuJoCo's angular velocity is in the body's frame
-        spin = Rotation.from_quat(pose.quaternion[[1, 2, 3, 0]]).inv().apply(twist[3:])
-        at = pose.position, pose.quaternion
-        lengths, rates = hexapod.leg_lengths(*at), hexapod.wrench_map(*at).T @ twist
-        control = hexapod.leg_forces(*at, body.weight(pose.quaternion))
-        if actuators.takes_positions:  # the command at which the motors give these forces
-            control = lengths + (control + actuators.motor.kv * rates) / actuators.motor.kp
-        of_cranks = (lengths, rates) if hexapod.rotary else ((), ())
-        return (
-            f'    <key name="{name}" qpos="{_text([*pose.position, *pose.quaternion, *of_cranks[0]])}" '
-            f'qvel="{_text([*twist[:3], *spin, *of_cranks[1]])}" ctrl="{_text(control)}"/>'
-        )
+    name: str
+    pose: Poses
+    twist: Array  # (6,), in B [m/s; rad/s]
+    efforts: Array  # (6,) [N], of cranks [N m]
 
-    return [key("home", scene.home, np.zeros(6)), key("start", scene.start, twist)]
+
+def _keys(scene: Scene) -> list[_Key]:
+    def key(name: str, pose: Poses, twist: Array) -> _Key:
+        weight = scene.settings.plant_body.weight(pose.quaternion)
+        return _Key(name, pose, twist, scene.hexapod.leg_forces(pose.position, pose.quaternion, weight))
+
+    moving = np.asarray(scene.settings["simulation.start.twist"])
+    return [key("home", scene.home, np.zeros(6)), key("start", scene.start, moving)]
+
+
+def _key_line(scene: Scene, key: _Key) -> str:
+    hexapod, actuators, pose, twist = scene.hexapod, scene.scenario.actuators, key.pose, key.twist
+    # MuJoCo's angular velocity is in the body's frame
+    spin = Rotation.from_quat(pose.quaternion[[1, 2, 3, 0]]).inv().apply(twist[3:])
+    at = pose.position, pose.quaternion
+    lengths, rates = hexapod.leg_lengths(*at), hexapod.wrench_map(*at).T @ twist
+    control = key.efforts
+    if actuators.takes_positions:  # the command at which the motors give these forces
+        control = lengths + (control + actuators.motor.kv * rates) / actuators.motor.kp
+    of_cranks = (lengths, rates) if hexapod.rotary else ((), ())
+    return (
+        f'    <key name="{key.name}" qpos="{_text([*pose.position, *pose.quaternion, *of_cranks[0]])}" '
+        f'qvel="{_text([*twist[:3], *spin, *of_cranks[1]])}" ctrl="{_text(control)}"/>'
+    )
+
+
+def _key_notes(scene: Scene) -> list[str]:
+    return [note for key in _keys(scene) if (note := _key_note(scene, key))]
+
+
+def _key_note(scene: Scene, key: _Key) -> str:
+    """Return that a keyframe needs more than the actuators' range, and whether that acts; empty where it needs less."""
+    limit, unit = float(scene.settings["robot.force_limit"]), leg_units(scene.scenario.robot).effort
+    legs = [str(leg) for leg, effort in enumerate(np.abs(key.efforts), 1) if effort > limit]
+    if not legs:
+        return ""
+    which = {1: f"leg {legs[0]} takes", 6: "the legs take up to"}.get(len(legs), f"legs {', '.join(legs)} take up to")
+    largest, allowed = apart(float(np.abs(key.efforts).max()), limit)
+    acts = (
+        "MuJoCo limits them to it, and the platform does not stay there"
+        if _is_limited(scene.settings)
+        else ("it does not act in this model, whose legs do not saturate")
+    )
+    return (
+        f"keyframe {key.name}: {which} {largest} {unit} to hold the platform, beyond the actuators' range of "
+        f"{allowed} {unit} (robot.force_limit): {acts}"
+    )

@@ -131,12 +131,12 @@ class Candidates:
         return {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
 
     def _corners(self) -> dict[str, NDArray[Any]]:
-        """Return the corners of what varies that are valid scenarios.
+        """Return the corners of what varies that are valid scenarios, as `numbers` of the drawing.
 
         Raises
         ------
         ScenarioError
-            None is.
+            If none of them is valid.
         """
         ends = np.array(list(itertools.product((0.0, 1.0), repeat=self.drawing.dimension)))
         numbers = self.drawing.numbers_at(ends, 0)

@@ -13,7 +13,7 @@ from scipy.stats import rankdata, t
 from hexservo.campaigns.drawing import with_unit
 from hexservo.campaigns.result import CampaignResult
 from hexservo.findings.evidence import Curves, Line, Section
-from hexservo.run.metrics import metric_label
+from hexservo.run.metrics import metric_label, metric_name
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.wording import above, below, number
 
@@ -163,7 +163,7 @@ def _distributions(result: CampaignResult, table: pa.Table) -> list[Curves]:
         label = metric_label(requirement.name, result.plan.scenario.robot)
         items.append(
             Curves(
-                requirement.name.replace("_", " ").capitalize(),
+                metric_name(requirement.name, result.plan.scenario.robot).capitalize(),
                 label,
                 "share of runs",
                 [

@@ -17,7 +17,7 @@ from hexservo.campaigns.words import of_settled_starts
 from hexservo.campaigns.worst_case import without_refused
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Cell, Column, Curves, Item, Line, Section, Table, Verdict, picked
-from hexservo.run.metrics import metric_label, metric_unit
+from hexservo.run.metrics import metric_label, metric_name, metric_unit
 from hexservo.scenario.fields import described
 from hexservo.scenario.noise import is_random
 from hexservo.scenario.scenario import Scenario
@@ -211,7 +211,7 @@ class TuneResult(Findings):
 
     def _sentences(self) -> list[str]:
         sentences = []
-        names = [name.replace("_", " ") for name in self.minimise]
+        names = [metric_name(name, self.scenario.robot) for name in self.minimise]
         units = [metric_unit(name, self.scenario.robot) for name in self.minimise]
         if self.feasible:
             largest = "; ".join(
@@ -267,7 +267,7 @@ class TuneResult(Findings):
         if self._held_out_runs is None:
             return ""
         found = [
-            f"a {name.replace('_', ' ')} of {_shown(held_out, metric_unit(name, self.scenario.robot))}"
+            f"a {metric_name(name, self.scenario.robot)} of {_shown(held_out, metric_unit(name, self.scenario.robot))}"
             for name, held_out, own in zip(self.minimise, self._held_out_runs.largest, self.worst, strict=True)
             if held_out > LARGER * own
         ]

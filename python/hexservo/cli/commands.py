@@ -344,8 +344,8 @@ def _report(result: hs.Result, elapsed: float, folder: str | None, *, hint: bool
         yield Text(unseen, style="yellow")
     if (far := goal_distance_sentence(result, if_hidden=True)) is not None:
         yield Text(far, style="yellow")
-    if result.events:
-        yield Text("\n".join(f"limit exceeded: {event}" for event in result.events), style="yellow")
+    if before := [event for event in result.events if event is not result.stop_event]:  # which the first line has
+        yield Text("\n".join(f"limit exceeded: {event}" for event in before), style="yellow")
     if (passage := singular_passage_sentence(result)) is not None:
         yield Text(passage, style="yellow")
     if folder is not None:
@@ -355,8 +355,9 @@ def _report(result: hs.Result, elapsed: float, folder: str | None, *, hint: bool
 
 
 def _metrics_table(result: hs.Result) -> RenderableType:
-    from hexservo.run.metrics import readable, shown_metrics
+    from hexservo.run.metrics import metric_meaning, metric_name, readable, shown_metrics
 
+    robot = result.scenario.robot
     with_meanings = terminal.width() >= _WIDTH_FOR_MEANINGS
     table = plain_table(show_header=False)
     table.add_column(overflow="fold")
@@ -365,9 +366,8 @@ def _metrics_table(result: hs.Result) -> RenderableType:
     if with_meanings:
         table.add_column(overflow="fold", style="dim")
     for name, value in shown_metrics(result).items():
-        meaning = hs.METRICS[name][1]
-        shown = readable(name, value, result.scenario.robot)
-        table.add_row(name.replace("_", " "), *shown, *([meaning] if with_meanings else []))
+        meaning = [metric_meaning(name, robot)] if with_meanings else []
+        table.add_row(metric_name(name, robot), *readable(name, value, robot), *meaning)
     return table
 
 
@@ -403,7 +403,7 @@ def _comparison_tables(comparison: hs.Comparison) -> Iterator[RenderableType]:
     columns = []
     for column in COLUMNS:
         unit, texts = column_texts(comparison.rows, column)
-        columns.append([column.head, f"[{unit}]" if unit else "", *texts])
+        columns.append([column.head(comparison.rows), f"[{unit}]" if unit else "", *texts])
     parts: list[list[list[str]]] = []
     room = -1
     for cells in columns:
@@ -448,7 +448,7 @@ def _comparison_list(comparison: hs.Comparison) -> RenderableType:
     columns = [column_texts(comparison.rows, column, with_units=True)[1] for column in COLUMNS]
     for row, *texts in zip(comparison.rows, *columns, strict=True):
         lines.append(f"{row.scenario.name}, {row.law}: {row.verdict}")
-        lines += [f"  {column.head}: {text}" for column, text in zip(COLUMNS, texts, strict=True)]
+        lines += [f"  {column.head([row])}: {text}" for column, text in zip(COLUMNS, texts, strict=True)]
     return Text("\n".join(lines))
 
 

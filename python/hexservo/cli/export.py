@@ -96,7 +96,7 @@ def _notes(scenario: hs.Scenario) -> str:
 
 
 def _mjcf(scenario: hs.Scenario, file: str, force: bool) -> str:
-    from hexservo.bridges.mujoco_model import TITLE, mjcf, not_in_model
+    from hexservo.bridges.mujoco_model import TITLE, keyframe_notes, mjcf, not_in_model
     from hexservo.run.files import write_file
 
     with refusals():
@@ -104,7 +104,8 @@ def _mjcf(scenario: hs.Scenario, file: str, force: bool) -> str:
     write_file(text, file, TITLE, _AUTHOR, force=force)
     missing = not_in_model(scenario)
     first = f'{file}: machine, camera and target of the scenario "{scenario.name}" for MuJoCo\n'
-    return first + (f"Note: not in the model: {', '.join(missing)}.\n" if missing else "")
+    notes = [f"not in the model: {', '.join(missing)}"] if missing else []
+    return first + "".join(f"Note: {note}.\n" for note in [*notes, *keyframe_notes(scenario)])
 
 
 def _fmu(scenario: hs.Scenario, file: str, fmi: int, what: str, force: bool) -> str:

@@ -42,14 +42,16 @@ def _write_files(result: Result, folder: Path) -> None:
 
 def _metrics_json(result: Result) -> str:
     """Return outcome, events and metrics as strict JSON: numbers that are not finite are null."""
-    from hexservo.run.metrics import METRICS, metric_unit, metrics
+    from hexservo.run.metrics import metric_meaning, metric_unit, metrics
     from hexservo.scenario.version import VERSION
 
+    robot = result.scenario.robot
     content: dict[str, Any] = {
         "hexservo": VERSION,
         "scenario": result.scenario.name,
         "outcome": result.outcome,
         "end_time": {"value": result.end_time, "unit": "s"},
+        "stop_time": {"value": result.stop_time, "unit": "s"},
         "detail": result.detail,
         "events": [
             {
@@ -62,7 +64,7 @@ def _metrics_json(result: Result) -> str:
             for event in result.events
         ],
         "metrics": {
-            name: {"value": value, "unit": metric_unit(name, result.scenario.robot), "meaning": METRICS[name][1]}
+            name: {"value": value, "unit": metric_unit(name, robot), "meaning": metric_meaning(name, robot)}
             for name, value in metrics(result).items()
         },
     }

@@ -240,8 +240,10 @@ def refusals(
 
 
 def ending(result: hs.Result) -> str:
-    """Return the outcome of a run as one line, with one time: that of the event, a step after the last good sample."""
-    return f"{result.outcome.replace('_', ' ')}: {result.detail}"
+    """Return the outcome of a run as one line, with one time: that of its end."""
+    from hexservo.run.summary import ending as how
+
+    return f"{result.outcome.replace('_', ' ')}: {how(result)}"
 
 
 def spell_time(seconds: float) -> str:

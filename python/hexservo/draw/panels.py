@@ -319,7 +319,9 @@ def draw_legend(figure: Figure, handles: Mapping[str, Line2D]) -> None:
 def note_outcome(place: Figure | Axes, result: Result) -> None:
     """Write into the corner of a figure or of the caller's axes how a run ended early, or what limit it exceeded."""
     if result.outcome != "completed":
-        text = f"{result.outcome.replace('_', ' ')} after {result.end_time:.4g} s"
+        text = f"{result.outcome.replace('_', ' ')} after {result.stop_time:.4g} s"
+        if (event := result.stop_event) is not None:
+            text += f" (leg {event.leg}, {event.kind.replace('_', ' ')})"
     elif exceeded := exceeded_limits(result.scenario, metrics(result)):
         text = exceeded[0].exceeded if len(exceeded) == 1 else f"{len(exceeded)} limits of the legs were exceeded"
     else:

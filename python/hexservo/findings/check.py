@@ -38,7 +38,7 @@ from hexservo.scenario.keys import value_at
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.pixels import on_pinhole, points_outside
 from hexservo.scenario.scenario import Scenario
-from hexservo.scenario.wording import number, quantity
+from hexservo.scenario.wording import apart, number, quantity
 
 _OFF_CENTRE = 0.15  # of the image, most that the principal point of a usual lens is off its centre
 
@@ -123,16 +123,17 @@ def _of_legs(scene: Scene) -> Iterator[str]:
     leg, unit = int(np.abs(forces).argmax()), scene.units.effort
     friction = scene.scenario.actuators.motor.friction
     rubs = scene.scenario.actuators.kind == "position_torque" and friction > 0.0
-    if not rubs and abs(forces[leg]) > robot.force_limit:
+    needed = abs(forces[leg]) + (friction if rubs else 0.0)
+    takes, has = apart(needed, robot.force_limit, 3)
+    if not rubs and needed > robot.force_limit:
         yield (
-            f"robot.force_limit: {number(robot.force_limit)} {unit} is less than the {number(abs(forces[leg]))} {unit} "
-            f"that leg {leg + 1} needs to carry the platform's weight at home"
-        )
-    if rubs and robot.force_limit <= friction + abs(forces[leg]):
-        yield (
-            f"robot.force_limit: {number(robot.force_limit)} {unit} does not move leg {leg + 1} against "
-            f"actuators.motor.friction, {number(friction)} {unit}, and the {number(abs(forces[leg]))} {unit} of the "
+            f"robot.force_limit: {has} {unit} is less than the {takes} {unit} that leg {leg + 1} needs to carry the "
             "platform's weight at home"
+        )
+    if rubs and needed >= robot.force_limit:
+        yield (
+            f"robot.force_limit: {has} {unit} does not move leg {leg + 1} against actuators.motor.friction and the "
+            f"platform's weight at home, together {takes} {unit}"
         )
     z_down = robot.gravity[2] >= 0
     upward = -1.0 if z_down else 1.0

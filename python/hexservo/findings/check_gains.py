@@ -22,7 +22,7 @@ from hexservo.scenario.laws import LAWS
 from hexservo.scenario.parameters import actuators_lag, frame_period, image_age
 from hexservo.scenario.pixels import feature_noise
 from hexservo.scenario.scenario import Scenario
-from hexservo.scenario.wording import apart, below, number, quantity
+from hexservo.scenario.wording import apart, below, number, quantity, shown_unit
 
 _OF_SERVO_RATE = 0.25  # share of it that a bandwidth may have
 _OF_RUN = 0.1  # periods of the bandwidth that a run must have at least
@@ -287,10 +287,10 @@ def _least_share(weight: Array, law: Array, limit: float) -> tuple[int, float]:
 
 
 def _needed(scene: Scene, weight: Array, law: Array, leg: int) -> str:
-    needed, available = (
-        quantity(force, scene.units.effort) for force in (abs(weight[leg] + law[leg]), scene.scenario.robot.force_limit)
-    )
-    return f"needs {needed} of leg {leg + 1} at the start, which has {available}"
+    limit, force = scene.scenario.robot.force_limit, abs(float(weight[leg] + law[leg]))
+    unit, scale = shown_unit(force, scene.units.effort)  # of the larger one
+    needed, available = apart(force * scale, limit * scale, 3)
+    return f"needs {needed} {unit} of leg {leg + 1} at the start, which has {available} {unit}"
 
 
 def _of_coupling(scene: Scene, key: str) -> Iterator[str]:

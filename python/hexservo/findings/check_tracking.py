@@ -30,7 +30,7 @@ _HELPS = 0.8  # of an error that a change has to leave at most, to be named
 _ROUNDS = 4  # in which the filter and the platform's speed that it bears are found
 _FEW_FRAMES = 0.25  # periods of a swing from frame to frame, above which they show it as another one
 _REMEMBERED = 200.0  # frames, by the line
-_ABOVE = 3.0  # deviations that a band should hold
+ABOVE = 3.0  # deviations that a band should hold
 _PHASES = 16  # of a swing, over which that is averaged
 _WHOLE = 2.0  # times the speed from which a velocity counts: 1 - 1/2^4 of it does
 
@@ -135,7 +135,7 @@ def _of_band(scene: Scene, gains: Tracking) -> Iterator[str]:
     axis = int((off / band).argmax())
     if off[axis] > band[axis]:
         unit = "m" if axis < 3 else "rad"
-        shift, turn = (_ABOVE * float(part.max()) for part in (off[:3], off[3:]))
+        shift, turn = (ABOVE * float(part.max()) for part in (off[:3], off[3:]))
         yield (
             f"controller.tracking.band: {quantity(band[axis], unit)} {AXES[axis]} is less than the "
             f"{quantity(off[axis], unit, 2)} by which noise of the camera keeps the target as it is estimated from the "

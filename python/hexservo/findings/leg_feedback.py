@@ -9,6 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hexservo import _core
+from hexservo.findings.analysis.scene import scene_of
+from hexservo.findings.motor_modes import motor_modes
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import reading_ticks
 from hexservo.scenario.scenario import Scenario, require_scenario
@@ -25,14 +27,16 @@ _SLOW = 0.01
 def feedback_margin(scenario: Scenario) -> float:
     """Return the gain margin of `controller.tracking.feedback`: the least with which a leg alone oscillates.
 
-    The loop is one leg with the response of `actuators.position`, commanded by minus the gain times its reading, with
-    the law's lag for legs of one slow pole (docs/model.md, section 5), held for a servo period and late by
-    `actuators.delay`, but by one period at least: what reads and commands once per period acts in the next one, and an
-    identification may have taken that for a part of the leg's lag. Where joints are read every m periods only
-    (`sensors.period`), the feedback moves on with each reading, and its command is held for m periods.
+    The loop is one leg with the response of `actuators.position`; of motors (`position_torque`) it is each motion
+    of six legs that motors and platform have together (`motor_modes`), and the least margin counts. It is commanded
+    by minus the gain times its reading, with the law's lag for legs of one slow pole (docs/model.md, section 5),
+    held for a servo period and late by `actuators.delay`, but by one period at least: what reads and commands once
+    per period acts in the next one, and an identification may have taken that for a part of the leg's lag. Where
+    joints are read every m periods only (`sensors.period`), the feedback moves on with each reading, and its
+    command is held for m periods.
 
-    The reference and the estimate of the target are not in that loop, nor are limits of speed and acceleration: the
-    whole law oscillates from about 0.75 of the margin on. Half of it (6 dB) leaves room for that, and for what the
+    The reference and the estimate of the target are not in that loop, nor are limits of speed, acceleration and torque:
+    the whole law oscillates from about 0.75 of the margin on. Half of it (6 dB) leaves room for that, and for what the
     response lacks.
 
     Parameters
@@ -60,8 +64,7 @@ def feedback_margin(scenario: Scenario) -> float:
     >>> round(hs.feedback_margin(hs.load_scenario("reachy-mini")), 1)
     2.0
     """
-    leg = _leg(scenario)
-    return _least_gain(leg.feedback, leg.slowest)
+    return min(_least_gain(leg.feedback, leg.slowest) for leg in _legs(scenario))
 
 
 def integral_margin(scenario: Scenario) -> float:
@@ -69,7 +72,7 @@ def integral_margin(scenario: Scenario) -> float:
 
     The loop is that of `feedback_margin`, with the scenario's feedback closed, and the offset added to the command: it
     moves on by the integral times the servo period times how far the leg is behind, in the same tick. Half of the
-    margin (6 dB) leaves room for what the response lacks, as motors with friction and load do.
+    margin (6 dB) leaves room for what the response lacks.
 
     Parameters
     ----------
@@ -93,15 +96,20 @@ def integral_margin(scenario: Scenario) -> float:
     Examples
     --------
     >>> round(hs.integral_margin(hs.load_scenario("reachy-mini-motors")), 1)
-    48.4
+    36.4
     """
-    leg = _leg(scenario)
+    legs = _legs(scenario)
     controller, period = scenario.controller, scenario.simulation.step
     if controller.traits.output != "pose":
         raise ValueError(f"controller.law: expected tracking for the margin of its integral, got {controller.law}")
     feedback = controller.gains.feedback
-    if feedback > 0.0 and feedback >= _least_gain(leg.feedback, leg.slowest):
+    if feedback > 0.0 and any(feedback >= _least_gain(leg.feedback, leg.slowest) for leg in legs):
         return 0.0
+    return min(_least_integral(leg, feedback, period) for leg in legs)
+
+
+def _least_integral(leg: _Leg, feedback: float, period: float) -> float:
+    """Return the least integral [1/s] with which a leg with this feedback oscillates, in servo periods [s]."""
 
     def offset(angles: Array) -> Array:
         return np.asarray(period * np.exp(1j * angles) / np.expm1(1j * angles) * leg.response(angles))
@@ -147,22 +155,39 @@ class _Leg:
         return np.asarray(self.ease * (1.0 + ahead) / (ahead + self.ease) * self.read(self.response, angles))
 
 
-def _leg(scenario: Scenario) -> _Leg:
-    from scipy.linalg import expm  # here, since a check of most scenarios does without the import
+def _legs(scenario: Scenario) -> list[_Leg]:
+    """Return the legs as the law sees them: one of `actuators.position`, or one for each motion of motors.
 
+    Raises
+    ------
+    ValueError
+        If the legs do not take positions.
+    """
     require_scenario(scenario)
-    actuators, period = scenario.actuators, scenario.simulation.step
+    actuators = scenario.actuators
     if not actuators.takes_positions:
         raise ValueError(
             "actuators.kind: expected position or position_torque for the margin of a feedback, got " + actuators.kind
         )
-    w, damping = 2.0 * math.pi * actuators.position.bandwidth, actuators.position.damping
+    if actuators.kind == "position":
+        return [_leg(scenario, actuators.position.bandwidth, actuators.position.damping)]
+    return [_leg(scenario, *response) for response in motor_modes(scene_of(scenario)).tolist()]
+
+
+def _leg(scenario: Scenario, bandwidth: float, damping: float) -> _Leg:
+    """Return a leg of a response [Hz; 1], with the law's lag for legs of `actuators.position`."""
+    from scipy.linalg import expm  # here, since a check of most scenarios does without the import
+
+    actuators, period = scenario.actuators, scenario.simulation.step
+    w = 2.0 * math.pi * bandwidth
     system = w * period * np.array([[0.0, 1.0, 0.0], [-1.0, -2.0 * damping, 1.0], [0.0, 0.0, 0.0]])
     held = np.asarray(expm(system))[:2] - np.eye(3)[:2]
-    apart = math.sqrt(max(damping**2 - 1.0, 0.0))
-    lag = _core.FEEDBACK_EASE * 2.0 * apart / w  # a share of what the slow time constant of the leg is longer
+    assumed = actuators.position
+    apart = 2.0 * math.sqrt(max(assumed.damping**2 - 1.0, 0.0)) / (2.0 * math.pi * assumed.bandwidth)
+    lag = _core.FEEDBACK_EASE * apart  # a share of what the slow time constant of the leg is longer
     delay, reading = max(round(actuators.delay / period), 1), reading_ticks(scenario)
-    rates = [w / (damping + apart), 1.0 / ((delay + reading) * period), *([1.0 / lag] if lag > 0.0 else [])]
+    slow = w / (damping + math.sqrt(max(damping**2 - 1.0, 0.0)))
+    rates = [slow, 1.0 / ((delay + reading) * period), *([1.0 / lag] if lag > 0.0 else [])]
     ease = -math.expm1(-period / lag) if lag > 0.0 else 1.0
     return _Leg(held, delay, reading, ease, min(rates) * reading * period)
 

@@ -9,7 +9,7 @@ from importlib import resources
 from typing import Any
 
 from hexservo import _core
-from hexservo.run.metrics import METRICS
+from hexservo.run.metrics import METRICS, OF_CRANKS
 from hexservo.scenario.flat import core_values
 from hexservo.scenario.scenario import Scenario, scenario_names
 from hexservo.scenario.schema import schema
@@ -32,7 +32,7 @@ def built_for() -> str:
     Defaults are left out, since their last digits depend on the processor's library.
     """
     keys = [{name: value for name, value in entry.items() if name != "default"} for entry in schema()]
-    digest = hashlib.sha256(json.dumps([keys, METRICS]).encode())
+    digest = hashlib.sha256(json.dumps([keys, METRICS, OF_CRANKS]).encode())
     for name in scenario_names():
         digest.update((resources.files("hexservo") / "scenarios" / f"{name}.yaml").read_bytes())
     return f"{VERSION} {digest.hexdigest()[:16]}"

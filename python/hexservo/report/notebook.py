@@ -24,7 +24,7 @@ from hexservo.report.html import Html, element, paragraphs, sentence
 from hexservo.run.batch import BatchResult
 from hexservo.run.comparison import COLUMNS, Comparison, column_texts
 from hexservo.run.display import batch_text, comparison_text
-from hexservo.run.metrics import METRICS, readable, shown_metrics
+from hexservo.run.metrics import metric_meaning, metric_name, readable, shown_metrics
 from hexservo.run.result import Result
 from hexservo.run.summary import summary_sentences
 
@@ -67,8 +67,9 @@ def html_of(shown: object) -> str:
 
 def _result_html(result: Result) -> str:
     """Return a run's summary, metrics and figures 2(b) and 3."""
+    robot = result.scenario.robot
     rows = [
-        (name, " ".join(readable(name, value, result.scenario.robot)).strip(), METRICS[name][1])
+        (name, " ".join(readable(name, value, robot)).strip(), metric_meaning(name, robot))
         for name, value in shown_metrics(result).items()
     ]
     return _page(
@@ -94,7 +95,7 @@ def _batch_html(batch: BatchResult) -> str:
     columns = (Column("metric"), Column("smallest"), Column("median"), Column("largest"), Column("runs"))
     head, *lines = batch_text(batch).split("\n")
     drawn = drawn_metrics(batch) if len(batch) else ()
-    named = " and ".join(name.replace("_", " ") for name in drawn)
+    named = " and ".join(metric_name(name, batch.scenario.robot) for name in drawn)
     return _page(
         element("strong", head),
         _list(line.strip() for line in lines),
@@ -110,7 +111,7 @@ def _comparison_html(comparison: Comparison) -> str:
         Column("scenario"),
         Column("law"),
         Column("verdict"),
-        *(Column(column.head, unit) for column, unit in zip(COLUMNS, units, strict=True)),
+        *(Column(column.head(comparison.rows), unit) for column, unit in zip(COLUMNS, units, strict=True)),
     )
     rows = [
         (row.scenario.name, row.law, row.verdict, *texts) for row, *texts in zip(comparison.rows, *columns, strict=True)

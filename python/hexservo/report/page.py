@@ -21,7 +21,7 @@ from hexservo.report.html import TITLE, Html, element, json_script, paragraphs, 
 from hexservo.report.scene import SpaceView, scene
 from hexservo.report.still import VIEW, still
 from hexservo.run.machine import versions
-from hexservo.run.metrics import METRICS, readable, shown_metrics
+from hexservo.run.metrics import metric_meaning, metric_name, readable, shown_metrics
 from hexservo.run.summary import summary_sentences
 
 if TYPE_CHECKING:
@@ -190,8 +190,9 @@ def _anchor(group: Group, section: Section) -> str:
 
 
 def _metrics(result: Result) -> Html:
+    robot = result.scenario.robot
     rows = [
-        (name.replace("_", " "), " ".join(readable(name, value, result.scenario.robot)).strip(), METRICS[name][1])
+        (metric_name(name, robot), " ".join(readable(name, value, robot)).strip(), metric_meaning(name, robot))
         for name, value in shown_metrics(result).items()
     ]
     columns = (Column("metric"), Column("value"), Column("meaning"))

@@ -19,7 +19,7 @@ from hexservo import _core
 from hexservo.run.custom_controller import OwnController, function_name, run_with
 from hexservo.run.display import batch_text
 from hexservo.run.drawn import html_of
-from hexservo.run.metrics import METRICS, asked_metrics, metric_unit
+from hexservo.run.metrics import METRICS, asked_metrics, metric_meaning, metric_unit
 from hexservo.run.progress import ProgressCallback, Report, reported
 from hexservo.run.quantities import quantities
 from hexservo.run.result import labelling
@@ -160,7 +160,7 @@ class BatchResult:
             ),
         }
         for name, values in self.metrics.items():
-            unit, meaning = metric_unit(name, robot), METRICS[name][1]
+            unit, meaning = metric_unit(name, robot), metric_meaning(name, robot)
             data[f"metric_{name}"] = ("scenario", values, {"units": unit, "long_name": meaning})
         for key, values in self.variations.items():
             whole = np.broadcast_to(values, (len(self), *values.shape[1:]))

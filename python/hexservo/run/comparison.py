@@ -82,8 +82,16 @@ class MetricColumn:
     """A column of numbers of the table, in the unit that people read."""
 
     metric: str
-    head: str
+    name: str
     limit: str = ""  # of `ComparisonRow.passed_limits`, which it shows
+    of_cranks: str = ""  # name where all legs are cranks; "": the same
+
+    def head(self, rows: Sequence[ComparisonRow]) -> str:
+        """Return the head of the column in a table of these rows."""
+        cranks = [row.scenario.robot.legs == "rotary" for row in rows]
+        if not self.of_cranks or not any(cranks):
+            return self.name
+        return self.of_cranks if all(cranks) else f"{self.name}, {self.of_cranks}"
 
 
 COLUMNS = (
@@ -98,7 +106,7 @@ COLUMNS = (
     MetricColumn("peak_rotation", "camera"),
     MetricColumn("effort", "effort"),
     MetricColumn("chatter", "chatter"),
-    MetricColumn("peak_leg_force", "leg force", limit="force"),
+    MetricColumn("peak_leg_force", "leg force", limit="force", of_cranks="crank torque"),
     MetricColumn("peak_leg_excursion", "stroke", limit="stroke"),
 )
 """What the table for people shows, in this order; `to_csv` has all metrics."""
@@ -156,7 +164,8 @@ class Comparison:
         """
         units, columns = zip(*(column_texts(self.rows, column) for column in COLUMNS), strict=True)
         heads = (
-            f"{column.head} [{unit}]" if unit else column.head for column, unit in zip(COLUMNS, units, strict=True)
+            f"{column.head(self.rows)}{f' [{unit}]' if unit else ''}"
+            for column, unit in zip(COLUMNS, units, strict=True)
         )
         lines = [
             ["scenario", "law", "verdict", *heads, "why"],

@@ -20,6 +20,15 @@ _NAMES = {
 }  # by the kind of the limit
 
 
+KIND_OF_CAUSE = {
+    "leg_limit": "stroke",
+    "leg_speed": "speed",
+    "base_joint": "base_joint",
+    "platform_joint": "platform_joint",
+}
+"""`BatchResult.cause` of a run that a leg's limit ended -> kind of that limit."""
+
+
 @dataclass(frozen=True)
 class LegLimit:
     """One limit of all legs."""
@@ -116,8 +125,8 @@ def exceeded_limits(scenario: Scenario, metrics: Mapping[str, float]) -> tuple[L
     return tuple(limit for limit in leg_limits(scenario) if metrics.get(limit.metric, math.nan) > limit.value)
 
 
-def most_used(scenario: Scenario, metrics: Mapping[str, float]) -> LimitUse:
-    """Return the limit of the motion of which a run uses the largest share.
+def most_used(scenario: Scenario, metrics: Mapping[str, float], stopped_by: str = "") -> LimitUse:
+    """Return the limit of the motion that ended a run, else that of which it uses the largest share.
 
     Parameters
     ----------
@@ -126,6 +135,8 @@ def most_used(scenario: Scenario, metrics: Mapping[str, float]) -> LimitUse:
     metrics
         By their names in `hs.METRICS`; of a run that was stopped at a limit those of the last good sample, which may be
         just within.
+    stopped_by
+        Kind of the limit that ended the run; "": none did.
     """
     uses = [LimitUse(limit, float(metrics[limit.metric])) for limit in limits_of_motion(scenario)]
-    return max(uses, key=lambda use: use.share)
+    return max(uses, key=lambda use: (use.limit.kind == stopped_by, use.share))

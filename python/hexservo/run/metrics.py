@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from hexservo.run.result import Result
     from hexservo.scenario.blocks import Metrics, Robot
 
-# name -> (unit, what it is); of rotary legs rad and N m stand for m and N: `metric_unit`
+# name -> (unit, what it is), of legs that change their length; of a robot: `metric_unit`, `metric_meaning`
 METRICS: dict[str, tuple[str, str]] = {
     "settling_time": ("s", "last time any feature error exceeds the settling band"),
     "final_error": ("px", "largest feature error at the end"),
@@ -39,6 +39,23 @@ METRICS: dict[str, tuple[str, str]] = {
     "peak_leg_speed": ("m/s", "largest speed of a leg, where robot.speed_limit is given"),
     "peak_base_joint": ("rad", "largest tilt of a leg at the base from home, where robot.joint_limit is given"),
     "peak_platform_joint": ("rad", "largest tilt of a leg at the platform from home, where robot.joint_limit is given"),
+}
+# Of rotary legs: name -> (as people read it, what it is).
+OF_CRANKS: dict[str, tuple[str, str]] = {
+    "peak_leg_force": ("peak crank torque", "largest torque of a crank"),
+    "peak_leg_excursion": (
+        "peak crank excursion",
+        "largest angle of a crank from the middle of its travel, which is the home angle as a rule",
+    ),
+    "peak_leg_speed": ("peak crank speed", "largest angular speed of a crank, where robot.speed_limit is given"),
+    "peak_base_joint": (
+        "peak base joint",
+        "largest tilt of a rod at its crank from home, where robot.joint_limit is given",
+    ),
+    "peak_platform_joint": (
+        "peak platform joint",
+        "largest tilt of a rod at the platform from home, where robot.joint_limit is given",
+    ),
 }
 OF_LIMITS = {
     "peak_leg_speed": "robot.speed_limit",
@@ -130,9 +147,21 @@ def metric_unit(name: str, robot: Robot) -> str:
     return unit_of(robot, name, METRICS[name][0])
 
 
+def metric_name(name: str, robot: Robot) -> str:
+    """Return the name of a metric as people read it, for a robot: rotary legs are cranks, with torques."""
+    plain = name.replace("_", " ")
+    return OF_CRANKS.get(name, (plain, ""))[0] if robot.legs == "rotary" else plain
+
+
+def metric_meaning(name: str, robot: Robot) -> str:
+    """Return what a metric of a robot is."""
+    plain = METRICS[name][1]
+    return OF_CRANKS.get(name, ("", plain))[1] if robot.legs == "rotary" else plain
+
+
 def metric_label(name: str, robot: Robot) -> str:
     """Return the label of an axis for a robot's metric, with its unit."""
-    return f"{name.replace('_', ' ')} [{metric_unit(name, robot)}]"
+    return f"{metric_name(name, robot)} [{metric_unit(name, robot)}]"
 
 
 def readable(name: str, value: float, robot: Robot, largest: float | None = None) -> tuple[str, str]:

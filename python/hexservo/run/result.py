@@ -58,15 +58,24 @@ def labelling(scenario: Scenario, name: str) -> tuple[dict[str, list[str] | list
 @described
 @dataclass(frozen=True)
 class LimitEvent:
-    """A leg beyond one of its limits; continuous runs report this and continue."""
+    """A leg beyond one of its limits, which a run reports; with ``robot.on_limit: stop`` it ends there."""
 
     kind: LimitKind  # stroke, force, speed, base_joint or platform_joint
     leg: int  # 1 to 6; column leg - 1 of the arrays
     time: float  # when it first exceeded the limit [s]
-    peak: float  # of the run: largest |length - home length| [m], |force| [N], |rate| [m/s] or tilt [rad]
+    # of the run: largest |length - middle of the travel| [m], |force| [N], |rate| [m/s] or tilt [rad]; where it ended
+    # the run that of the step that failed, which no sample and no metric has
+    peak: float
     limit: float  # in the same unit
     # of a rotary leg: angle [rad], torque [N m] and rate [rad/s] in place of the first three
     rotary: bool = field(default=False, repr=False)
+
+    @property
+    def shown(self) -> tuple[str, str]:
+        """Peak and limit with the unit that people read: "17.02 mm", "17 mm"."""
+        unit, scale = readable_unit(self.unit, self.limit)
+        peak, limit = apart(self.peak * scale, self.limit * scale)
+        return f"{peak} {unit}", f"{limit} {unit}"
 
     @property
     def unit(self) -> str:
@@ -76,11 +85,10 @@ class LimitEvent:
 
     def __str__(self) -> str:
         """Return the event as a sentence."""
-        unit, scale = readable_unit(self.unit, self.limit)
         what = _LIMITS[self.kind][1].format(self.leg)
         what = what.replace("force", "torque") if self.rotary else what
-        peak, limit = apart(self.peak * scale, self.limit * scale)
-        return f"{what} of {limit} {unit} at t = {self.time:.4g} s (peak {peak} {unit})"
+        peak, limit = self.shown
+        return f"{what} of {limit} at t = {self.time:.4g} s (peak {peak})"
 
 
 @described
@@ -128,6 +136,27 @@ class Result:
     def by_law(self) -> bool:
         """Whether a law of the scenario controlled the run; False for a custom controller."""
         return self.controller == self.scenario.controller.law
+
+    @property
+    def stop_time(self) -> float:
+        """Time at which the run ended [s]: of the step that failed, one after ``end_time``, else ``end_time``."""
+        if self.outcome in ("completed", "interrupted"):
+            return self.end_time
+        # the outcome of a metric that overflowed is that of the end of the run
+        grid = self.scenario.simulation
+        steps = min(round(self.end_time / grid.step) + 1, round(grid.duration / grid.step))
+        return steps * grid.step
+
+    @property
+    def stop_event(self) -> LimitEvent | None:
+        """The leg beyond a limit that ended the run (``robot.on_limit: stop``); None: none did."""
+        last = self.events[-1] if self.events else None
+        return last if last is not None and last.time > self.end_time else None
+
+    @property
+    def stopped_by(self) -> str:
+        """Kind of the leg's limit that ended the run, as of `LimitEvent`; "": none did."""
+        return "" if self.stop_event is None else self.stop_event.kind
 
     @property
     def features(self) -> Array:

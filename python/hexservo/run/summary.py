@@ -45,11 +45,16 @@ def _outcome(result: Result) -> str:
             f"The run completed: {result.end_time:.4g} s in {result.scenario.simulation.mode} mode, "
             f"controlled by {law}."
         )
-    # the detail has the time of the event, a step after the last good sample
     return (
         f"The run of {result.scenario.simulation.duration:.4g} s ended early ({result.outcome.replace('_', ' ')}): "
-        f"{result.detail}. It was controlled by {law}."
+        f"{ending(result)}. It was controlled by {law}."
     )
+
+
+def ending(result: Result) -> str:
+    """Return how a run ended, and when (`Result.stop_time`); of a leg that ended it also its value and its limit."""
+    event = result.stop_event
+    return result.detail if event is None else f"{result.detail} ({' of '.join(event.shown)})"
 
 
 def without_image(result: Result) -> str | None:
@@ -64,7 +69,7 @@ def without_image(result: Result) -> str | None:
     if camera.dropout == 1.0:
         why = "every frame was lost (camera.dropout: 1)"
     elif camera.latency >= result.end_time:
-        why = f"no frame arrived in {quantity(result.end_time, 's')} (camera.latency: {quantity(camera.latency, 's')})"
+        why = f"no frame arrived in {quantity(result.stop_time, 's')} (camera.latency: {quantity(camera.latency, 's')})"
     else:
         never = np.flatnonzero(points_outside(scenario, result.features).all(axis=0)) + 1
         if not len(never):
@@ -124,9 +129,11 @@ def goal_distance_sentence(result: Result, *, if_hidden: bool = False) -> str | 
 
 def _legs(result: Result) -> list[str]:
     """Compare the peaks of the legs with what is allowed."""
-    values = metrics(result)
+    values, stop = metrics(result), result.stop_event
     sentences = []
     for limit in leg_limits(result.scenario):
+        if stop is not None and stop.kind == limit.kind:  # how the run ended has the value; metrics are of before
+            continue
         unit, scale = limit.shown_unit
         found, allowed = apart(values[limit.metric] * scale, limit.value * scale)
         share = values[limit.metric] / limit.value

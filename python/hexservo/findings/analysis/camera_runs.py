@@ -12,7 +12,7 @@ from hexservo.findings.analysis.linear_loop import Clock
 from hexservo.findings.analysis.scene import ALL_AXES, scene_of
 from hexservo.findings.analysis.tried import ROUNDS, bordering, quarters
 from hexservo.run.batch import metrics_of, simulate_batch, whole
-from hexservo.run.leg_limits import LimitUse, most_used
+from hexservo.run.leg_limits import KIND_OF_CAUSE, LimitUse, most_used
 from hexservo.run.metrics import metrics
 from hexservo.run.result import Result
 from hexservo.run.simulation import simulate, uninterrupted
@@ -105,7 +105,7 @@ def _start_run(home: Scenario, slowest: float, offset: float, goal: Array) -> St
         }
         result = uninterrupted(simulate(home.updated(changes)))
         travel = float(result.streamed_metrics["peak_leg_excursion"])
-        ending = _ending(result, most_used(home, result.streamed_metrics))
+        ending = _ending(result, most_used(home, result.streamed_metrics, result.stopped_by))
         errors = np.abs(result.feature_error).max(axis=1)
         if ending == "goes on" and _hunts(errors, home.metrics.band):
             ending = "hunts"
@@ -175,7 +175,8 @@ def limit_border(task: Scenario, key: Literal["period", "latency"], clock: Clock
     def used(base: Scenario, ticks: Sequence[int]) -> list[LimitUse]:
         values = np.array([value * tick for value in ticks])
         batch = whole(simulate_batch(base, {f"camera.{key}": values}, log="metrics"))
-        rows = [most_used(base, metrics_of(batch, row)) for row in range(len(ticks))]
+        stopped = [KIND_OF_CAUSE.get(cause, "") for cause in batch.cause]
+        rows = [most_used(base, metrics_of(batch, row), by) for row, by in enumerate(stopped)]
         # A run that ends early has no number of the legs, but the task was not done: the camera is too slow.
         done = [outcome in ("completed", "leg_limit") for outcome in batch.outcome]
         return [use if good else replace(use, peak=np.inf) for use, good in zip(rows, done, strict=True)]

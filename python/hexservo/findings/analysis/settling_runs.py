@@ -12,7 +12,7 @@ import numpy as np
 from hexservo.findings.analysis.scene import AT_HOME
 from hexservo.findings.analysis.tried import bordering
 from hexservo.run.batch import metrics_of, simulate_batch, whole
-from hexservo.run.leg_limits import LimitUse, most_used, overload
+from hexservo.run.leg_limits import KIND_OF_CAUSE, LimitUse, most_used, overload
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.noise import is_random
 from hexservo.scenario.scenario import Scenario
@@ -140,7 +140,7 @@ class SettlingRuns:
             in_image = (batch.outcome == "completed") & np.isfinite(times[rows])
             for k, row in enumerate(rows):
                 found = metrics_of(batch, k)
-                use = most_used(base, found)
+                use = most_used(base, found, KIND_OF_CAUSE.get(batch.cause[k], ""))
                 if batch.outcome[k] == "leg_limit" or (in_image[k] and use.share > 1.0):
                     beyond[row] = use
                 else:

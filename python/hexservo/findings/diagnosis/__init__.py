@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 from hexservo.findings.diagnosis.causes import CAUSES
 from hexservo.findings.diagnosis.criterion import Judgement, Record
+from hexservo.findings.diagnosis.environment import faultless
 from hexservo.findings.diagnosis.evidence import OF_THE_SCENARIO, Signature, signature_of
 from hexservo.findings.diagnosis.findings import Diagnosis, Finding, Remedy
 from hexservo.findings.diagnosis.model import Case, Removal
@@ -77,18 +79,28 @@ def diagnose(result: Result) -> Diagnosis:
         for trial in trials
     )
     present = {finding.cause for finding in findings}
+    together = () if case.obstacle is not None else pairs(one, trials)
+    explained = case.obstacle is not None or bool(together) or any(trial.named for trial in trials)
     return replace(
         failed,
         causes=findings,
-        together=() if case.obstacle is not None else pairs(one, trials),
+        together=together,
         controls=one.controls,
         warnings=warnings,
         absent=tuple(cause.title for cause in CAUSES if cause.key not in present),
         cured=trials[0].record if trials and trials[0].named else None,
+        faultless=None if explained else _passes_without_faults(case),
     )
 
 
 # ---- Parts of it ----------------------------------------------------------------------------------------------------
+
+
+def _passes_without_faults(case: Case) -> bool | None:
+    """Return whether a case passes with devices without faults and ordinary settings of the law; None: refused."""
+    changes = faultless(case.scenario)
+    record = run_all([Run(case.scenario, changes)])[0]
+    return None if record is None else not judged(case.scenario, record, Removal("", changes)).failed
 
 
 def _remedies(case: Case, trials: list[Trial]) -> dict[str, Remedy]:
@@ -122,6 +134,7 @@ def _as_remedy(case: Case, removal: Removal, record: Record, after: Judgement) -
         after.error * band,
         record.metrics["peak_leg_excursion"],
         record.drift,
+        record.metrics["settling_time"] if record.settled else math.nan,
     )
 
 

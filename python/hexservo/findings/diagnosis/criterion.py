@@ -26,6 +26,8 @@ class Record:
     outcome: str
     detail: str
     end_time: float  # of the last good sample [s]
+    stop_time: float  # of the end [s], as Result.stop_time
+    stopped_by: str  # kind of the leg's limit that ended it; "": none did
     metrics: Mapping[str, float]
     time: Array  # (m,) [s], of the samples that there are
     error: Array  # (m,) [px], largest |feature error|
@@ -86,6 +88,8 @@ def make_record(
     outcome: str,
     detail: str,
     end_time: float,
+    stop_time: float,
+    stopped_by: str,
     metrics: Mapping[str, float],
     time: Array,
     samples: Mapping[str, Array],
@@ -95,7 +99,7 @@ def make_record(
 ) -> Record:
     """Make a record of a run's samples; `keep` keeps them.
 
-    Where the target goes on in one direction, by its displacement (m, 3) [m], the legs that follow it do not drift.
+    Where the target goes on in one direction, by its displacement in B (m, 3) [m], legs that follow it do not drift.
     """
     error = np.abs(samples["feature_error"]).max(axis=1)
     follows = _drift(time, displacement, end_time) > 0.0
@@ -103,6 +107,8 @@ def make_record(
         outcome,
         detail,
         end_time,
+        stop_time,
+        stopped_by,
         metrics,
         time,
         error,

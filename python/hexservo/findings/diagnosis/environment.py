@@ -217,15 +217,27 @@ def alone_at_its_gains(case: Case, name: str, power: float) -> list[Alone]:
     return pairs
 
 
-def both_alone(first: Cause, second: Cause, case: Case) -> list[Changes]:
+def faultless(scenario: Scenario) -> dict[str, Any]:
+    """Return the changes to devices without faults and ordinary settings of the law, with the scenario's own task."""
+    task = ("metrics.band", "metrics.dwell")
+    return _less({**ideal(scenario), **ordinary(scenario)}, task)
+
+
+def both_alone(first: Cause, second: Cause, case: Case, changed: Iterable[str] = ()) -> list[Changes]:
     """Return the changes to a scenario without faults, and then those to scenarios with two causes and no other fault.
 
     The first has ordinary settings of the law if a cause is one of them, and so has the second. A third has the other
     settings of the law as they are: what fails with ordinary ones alone does not fail in the scenario.
+
+    Parameters
+    ----------
+    changed
+        Keys that the removals change: a slower loop has less K_v too, and is another loop with the ordinary one.
     """
     scenario = case.scenario
     devices = ideal(scenario)
     own = in_scenario(first.keys | first.context | second.keys | second.context, scenario)
+    own += [key for key in changed if key.startswith(f"controller.{scenario.controller.law}.")]
     if "law" not in (first.kind, second.kind):
         return [devices, _less(devices, own)]
     usual = {**devices, **ordinary(scenario)}

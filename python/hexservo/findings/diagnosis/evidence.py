@@ -14,7 +14,7 @@ from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.diagnosis.criterion import Judgement, Record
 from hexservo.findings.diagnosis.goal import pixels_per_metre, seen_from_home
 from hexservo.findings.diagnosis.model import Case
-from hexservo.run.leg_limits import LimitUse, limits_of_motion
+from hexservo.run.leg_limits import LimitUse, limits_of_motion, most_used
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.leg_units import leg_units, stroke_length
 from hexservo.scenario.parameters import frame_period
@@ -54,14 +54,14 @@ def _at_effort_limit(case: Case, record: Record, judgement: Judgement) -> Signat
     share = float((np.abs(record.samples["leg_forces"]).max(axis=1) >= _AT_LIMIT * limit).mean())
     units = leg_units(case.scenario.robot)
     limited = f"{units.effort_name} limit of {number(limit, 4)} {units.effort}"
-    sentence = f"A leg is at its {limited} for {share:.0%} of the time."
+    sentence = f"A leg is at its {limited} for {share:.0%} of the time." if share else f"No leg reaches its {limited}."
     return Signature(min(1.0, share / 0.2), sentence)
 
 
 def _lost_features(case: Case, record: Record, judgement: Judgement) -> Signature:
     camera = case.scenario.camera
     if record.outcome == "feature_lost":
-        return Signature(1.0, f"A feature is lost at t = {number(record.end_time)} s, which ends the run.")
+        return Signature(1.0, f"A feature is lost at t = {number(record.stop_time)} s, which ends the run.")
     strength, sentences = 0.0, []
     if camera.image_size is not None:
         features = desired_features(case.scenario) - record.samples["feature_error"]
@@ -189,7 +189,7 @@ def _leg_limits(case: Case, record: Record, judgement: Judgement) -> Signature:
     uses = [LimitUse(limit, record.metrics[limit.metric]) for limit in limits_of_motion(case.scenario)]
     exceeded = [use for use in uses if use.share > 1.0]
     if record.outcome == "leg_limit":  # its last good sample is within
-        exceeded = [max(uses, key=lambda use: use.share)]
+        exceeded = [most_used(case.scenario, record.metrics, record.stopped_by)]
     sentences = [f"The run {use.excess}." for use in exceeded]
     if case.goal is None:
         return Signature(None, " ".join(sentences))

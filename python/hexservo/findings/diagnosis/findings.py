@@ -12,6 +12,8 @@ from hexservo.findings.part import Part
 from hexservo.run.result import Result
 from hexservo.scenario.fields import described
 
+_STAYS = 0.5  # of the original run, for which a longer one that is settled has to stay so
+
 
 @dataclass(frozen=True, eq=False)
 class Remedy:
@@ -24,6 +26,7 @@ class Remedy:
     error: float  # of that run: the largest one within the dwell time before its end [px]
     leg_travel: float  # of that run: largest travel of a leg [m]
     drift: float  # of that run: of the leg that moves fastest at its end [m/s]
+    settling_time: float  # of that run [s]; NaN where it does not settle
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +64,9 @@ class Diagnosis(Part):
     record: Record | None = None  # what the causes are judged by
     judgement: Judgement | None = None  # by the criteria
     cured: Record | None = None  # the run without the first cause
+    # whether the run passes with devices without faults and default gains, all at once; None: not tried, as a cause or
+    # a pair explains the failure, or refused
+    faultless: bool | None = None
 
     @property
     def named(self) -> tuple[Finding, ...]:
@@ -82,6 +88,8 @@ class Diagnosis(Part):
         """Changes of the scenario, by dotted key, with each of which the first sentence states that the run passes."""
         if self.obstacle is not None or not self.causes:
             return ()
+        if not self.named and self.too_short is not None:
+            return ({"simulation.duration": self.too_short},)
         without = [one.without for one in self.pair or self.causes[:1] if one.without is not None]
         if self.pair and not self.passes_without_either:
             return ({key: value for one in without for key, value in one.changes.items()},)
@@ -89,15 +97,31 @@ class Diagnosis(Part):
 
     @property
     def too_short(self) -> float | None:
-        """A duration with which the run passes, if the cause is that the run is too short [s]; else None.
+        """A duration with which the run passes and stays settled, with no other change [s]; None where there is none.
 
-        None too where the run passes with a shorter dwell time, and not with a longer run.
+        None too where another cause or a pair is named, which makes the run slow (`settles_later`), and where the run
+        passes with a shorter dwell time, not with a longer run.
         """
-        first = self.causes[0] if self.causes else None
-        if first is None or not first.named or first.cause != "duration" or first.without is None:
+        later = self.settles_later
+        if later is None or self.together or (self.named and self.named[0].cause != "duration"):
             return None
-        duration = first.without.changes.get("simulation.duration")
-        return None if duration is None else float(duration)
+        return float(later.changes["simulation.duration"])
+
+    @property
+    def settles_later(self) -> Remedy | None:
+        """The longer run, if it passes with no other change and stays settled for as long as half of the original run.
+
+        None for one that settles for less, which may be by chance. If `duration` is named, any longer run counts.
+        """
+        for finding in self.causes:
+            run = finding.without
+            if finding.cause == "duration" and run is not None and run.works:
+                if "simulation.duration" not in run.changes or self.obstacle is not None:
+                    return None
+                stays = run.changes["simulation.duration"] - run.settling_time
+                least = _STAYS * self.result.scenario.simulation.duration
+                return run if finding.named or stays >= least else None
+        return None
 
     def sections(self) -> tuple[Section, ...]:
         """Return the only section."""
@@ -114,6 +138,7 @@ class Diagnosis(Part):
                 "failed": self.failed,
                 "outcome": record.outcome,
                 "end_time": record.end_time,
+                "stop_time": record.stop_time,
                 "settled": judgement.settled,
                 "error": judgement.error * self.band,
                 "error_allowed": self.band,
@@ -126,6 +151,7 @@ class Diagnosis(Part):
                 "causes": [_finding_data(finding) for finding in self.causes],
                 "together": list(self.together),
                 "too_short": self.too_short,
+                "faultless": self.faultless,
                 "controls": list(self.controls),
                 "warnings": list(self.warnings),
                 "absent": list(self.absent),

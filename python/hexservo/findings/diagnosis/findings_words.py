@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hexservo.findings.diagnosis.causes import CAUSES
+from hexservo.findings.diagnosis.environment import faultless
 from hexservo.findings.diagnosis.findings import Diagnosis
 from hexservo.findings.diagnosis.goal import Obstacle
 from hexservo.findings.diagnosis.words import ends, how, joined, remedy_sentence, spelt
@@ -18,6 +19,7 @@ _TITLES = {cause.key: cause.title for cause in CAUSES}
 _FLOOR = 1e-3  # [px], of the curves
 _WEAK = 0.3  # score up to which recorded signals speak for no cause
 _AT_REST = 1e-3  # of the stroke, that legs move which do not act
+_KEYS = 6  # most keys that are named which differ from a scenario without faults
 _HELPERS = 3  # most removals that are named which help and are not the cause
 _NOT_NAMED = {  # fails alone -> why a removal that helps is not named as the cause
     False: "that helps, but it is not the cause: it is ordinary, or alone it makes no scenario without other faults "
@@ -43,7 +45,7 @@ def section(found: Diagnosis) -> Section:
     sentences = [_verdict(found), f"What failed: {joined(found.criteria)}."]
     if found.named:
         sentences += found.named[0].evidence[1:]
-    sentences += _sureness(found)
+    sentences += [*_sureness(found), *_left(found)]
     sentences += [
         remedy_sentence(finding, found.result.scenario) for finding in found.causes if finding.remedy is not None
     ]
@@ -86,6 +88,12 @@ def _verdict(found: Diagnosis) -> str:
         )
     if found.together:
         return _of_two(found, was)
+    later = found.settles_later
+    if later is not None:
+        return (
+            f"The run is too short: it {was}; with simulation.duration={found.too_short:g} and no other change it is "
+            f"settled from t = {number(later.settling_time)} s on. No other cause that was tried explains it."
+        )
     words = f"Not explained: it {was}, and none of the {len(found.causes)} causes that were tried explains it."
     if first is not None and first.without is not None and first.cure:
         words += f" The most effective change was {first.without.words}: the run then {how(first.without, scenario)}."
@@ -102,6 +110,30 @@ def _of_two(found: Diagnosis, was: str) -> str:
         return f"{words}It passes only without both. Without other faults both together fail as well."
     alone = ", and neither does alone" if all(finding.alone is False for finding in found.pair) else ""
     return f"{words}It passes without either of them. Without other faults both together fail as well{alone}."
+
+
+def _left(found: Diagnosis) -> list[str]:
+    """Return what was looked at, and what is left, where nothing explains the failure."""
+    if found.named or found.together or found.obstacle is not None or not found.result.by_law or found.too_short:
+        return []
+    tried = joined([finding.title for finding in found.causes])
+    words = [f"Removed one at a time, and in pairs of those whose settings are unusual: {tried}."]
+    if found.faultless is None:
+        return words
+    if not found.faultless:
+        return [
+            *words,
+            "With devices without faults and default gains, all at once, the run fails as well. What is left is the "
+            "task (start, goal, metrics.band, simulation.duration and the legs), or gains that do not suit it: fit "
+            "them by auto.bandwidth.",
+        ]
+    keys = sorted(faultless(found.result.scenario))
+    more = f" and {len(keys) - _KEYS} more" if len(keys) > _KEYS else ""
+    return [
+        *words,
+        "With devices without faults and default gains, all at once, the run passes. What is left are causes of which "
+        f"more than two act together: from that run change back one key at a time, of {', '.join(keys[:_KEYS])}{more}.",
+    ]
 
 
 def _unit(found: Diagnosis) -> str:
@@ -138,6 +170,14 @@ def _sureness(found: Diagnosis) -> list[str]:
         )
     if found.obstacle is None:
         others = [f for f in found.causes if not f.named and f.cause not in found.together]
+        later = found.settles_later
+        if later is not None:
+            others = [f for f in others if f.cause != "duration"]
+            if found.too_short is None:
+                words.append(
+                    f"It is also too short for that: with simulation.duration={later.changes['simulation.duration']:g} "
+                    f"and no other change it is settled from t = {number(later.settling_time)} s on."
+                )
         helpers = [(f.alone, f.without.words) for f in others if f.without and f.without.works]
         for alone, meaning in _NOT_NAMED.items():
             removals = [removal for one, removal in helpers if one is alone]

@@ -228,7 +228,7 @@ def pairs(one: Study, trials: Sequence[Trial], threads: int = 1) -> tuple[str, .
     for first, second in joint:
         both = {**first.removal.changes, **second.removal.changes}
         counted = first.removal.stroke_counts and second.removal.stroke_counts
-        without, *alone_together = both_alone(first.cause, second.cause, one.case)
+        without, *alone_together = both_alone(first.cause, second.cause, one.case, both)
         for trial in (first, second):
             without = {**without, **(trial.removal.changes if trial.cause.kind == "task" else {})}
         runs += [Removal("", both, counted), Removal("", without, counted)]

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from hexservo.findings.analysis.scene import scene_of
+from hexservo.findings.check_sag import both, fitted_integral, sag_of
 from hexservo.findings.diagnosis.criterion import Record
 from hexservo.findings.diagnosis.gains import slower
 from hexservo.findings.diagnosis.goal import resized_image
@@ -100,10 +102,26 @@ def saturation_remedies(case: Case, removal: Removal, record: Record) -> list[Re
 
 
 def motor_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
-    """Use stronger motors, where they are too weak for the efforts of the run without the cause, and for friction."""
+    """Correct the offset that the weight leaves, or use stronger motors.
+
+    Stronger ones where they are too weak for the efforts of the run without the cause, and for friction.
+    """
     stronger = _stronger_legs(case, record.metrics["peak_leg_force"] + case.scenario.actuators.motor.friction)
     weak = stronger.changes["robot.force_limit"] > case.scenario.robot.force_limit
-    return [*([stronger] if weak else []), removal]
+    return [*integral_remedies(case), *([stronger] if weak else []), removal]
+
+
+def integral_remedies(case: Case) -> list[Removal]:
+    """Integrate away the offset of motors that rest outside the settling band by the weight that they carry."""
+    scene = scene_of(case.scenario)
+    sag = sag_of(scene)
+    fitted = fitted_integral(scene, sag) if sag is not None and sag.certain > scene.band else None
+    if fitted is None:
+        return []
+    integral, band = fitted
+    head = f"controller.{case.scenario.controller.law}"
+    words = f"an integral of {integral:g} 1/s whose band is {both(band)}"
+    return [Removal(words, {f"{head}.integral": integral, f"{head}.band": band.tolist()})]
 
 
 def _stronger_legs(case: Case, effort: float) -> Removal:

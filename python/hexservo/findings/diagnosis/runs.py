@@ -8,18 +8,21 @@ from typing import Any
 
 import numpy as np
 
+from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.diagnosis.criterion import Record, make_record
 from hexservo.run.batch import BatchResult, metrics_of, simulate_batch, whole
+from hexservo.run.leg_limits import KIND_OF_CAUSE
 from hexservo.run.result import Result
 from hexservo.run.shared import numbers_of, shared_by, widest
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.fitted import acts_on_gains, auto_of
 from hexservo.scenario.keys import acting_keys
-from hexservo.scenario.motion import TargetMotion, displacements_of
+from hexservo.scenario.motion import displacements_of, moves
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.yaml import ScenarioError
 
 _SAMPLES = 500  # about so many of a run are kept
+_MOVING = ("target.motion", "target.frame", "base_motion")  # keys by which a target moves in B
 _MAX_BATCH = 64  # runs: bounds the memory of their samples
 _KEPT = ("feature_error", "position", "quaternion", "twist", "wrench", "fuzzy_output", "leg_lengths", "leg_forces")
 
@@ -41,10 +44,12 @@ def record_of(result: Result) -> Record:
         result.outcome,
         result.detail,
         result.end_time,
+        result.stop_time,
+        result.stopped_by,
         dict(result.streamed_metrics),
         result.time[kept],
         samples,
-        displacements_of(result.scenario.target.motion, result.time[kept]),
+        displacements_in_base(result.scenario, result.time[kept]),
         keep=True,
     )
 
@@ -126,21 +131,36 @@ def _run(
         return
     for row, (index, _) in enumerate(group):
         run = runs[index]
-        changed = any(key.startswith("target.motion") for key in run.changes)
-        ran = run.scenario.updated(run.changes) if changed else run.scenario
-        yield index, _batch_record(batch, row, ran.target.motion)
+        changed = any(key.startswith(_MOVING) for key in run.changes)
+        yield index, _batch_record(batch, row, run.scenario.updated(run.changes) if changed else run.scenario)
 
 
-def _batch_record(batch: BatchResult, row: int, motion: TargetMotion) -> Record:
+def displacements_in_base(scenario: Scenario, time: Array) -> Array:
+    """Return how far the middle of a target has moved in B at times (n,) [s], (n, 3) [m].
+
+    By its own motion, and by that of the base, R_WB^T (x + d - p_WB) - x, where it is in the world.
+    """
+    own = displacements_of(scenario.target.motion, time)
+    if scenario.target.frame != "world" or not moves(scenario.base_motion):
+        return own
+    scene = scene_of(scenario)
+    middle = scene.points.mean(axis=0)
+    place, attitude, *_ = scene.probe.base_motion(time)
+    return np.asarray(np.einsum("nji,nj->ni", attitude, middle + own - place) - middle)
+
+
+def _batch_record(batch: BatchResult, row: int, ran: Scenario) -> Record:
     assert batch.time is not None  # of trajectories
     there = np.isfinite(batch.samples["feature_error"][row]).all(axis=1)
     return make_record(
         str(batch.outcome[row]),
         batch.detail(row),
         float(batch.end_time[row]),
+        float(batch.stop_time[row]),
+        KIND_OF_CAUSE.get(str(batch.cause[row]), ""),
         metrics_of(batch, row),
         batch.time[there],
         {name: batch.samples[name][row][there] for name in ("feature_error", "leg_lengths")},
-        displacements_of(motion, batch.time[there]),
+        displacements_in_base(ran, batch.time[there]),
         keep=False,
     )

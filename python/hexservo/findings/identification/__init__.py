@@ -16,12 +16,15 @@ from hexservo.findings.identification.changes import (
     faults_of,
     in_whole_ticks,
     of_law,
+    open_keys,
     raised_timeout,
     ticks_of,
     times_of_camera,
+    times_of_drives,
 )
 from hexservo.findings.identification.drives import DriveFit, Drives, fit_drives
 from hexservo.findings.identification.frames import CameraFit, fit_camera
+from hexservo.findings.identification.joints_repeated import require_readings
 from hexservo.findings.identification.log import Log, read_log
 from hexservo.findings.identification.log_end import LogEnd, end_of
 from hexservo.findings.identification.motors import MotorFit, fit_motors
@@ -68,10 +71,13 @@ class Identification(Findings):
     def sections(self) -> Sequence[Section]:
         """Return the findings as sentences, tables and curves."""
         parts = self._parts()
-        given = {key: value_at(self.machine, key) for key in (*self.changes, *self.rounded)}
+        left = open_keys(self.drives, self.changes)
+        given = {key: value_at(self.machine, key) for key in (*self.changes, *self.rounded, *left)}
         verdicts = {part.title: part.verdict for part in parts}
-        times = {} if self.camera is None else times_of_camera(self.camera, self.machine)
-        return [*parts, Changes(self.changes, self.rounded, given, verdicts, self.faults, times).section()]
+        times = times_of_drives(self.drives, self.changes)
+        if self.camera is not None:
+            times |= times_of_camera(self.camera, self.machine)
+        return [*parts, Changes(self.changes, self.rounded, given, verdicts, self.faults, times, left).section()]
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain data, for JSON: keys, and each section's numbers."""
@@ -115,18 +121,21 @@ def identify(
     ------
     ScenarioError
         A file that cannot be read, or what is wrong with it; legs that are out of the machine's reach, as in another
-        unit.
+        unit; joints that were read fewer than 50 times.
     TypeError
         For other types.
     """
     if not isinstance(machine, Scenario):
         raise wrong_type("machine", "a Scenario", machine)
     record = log if isinstance(log, Log) else read_log(log)
-    require_reach(record, machine, None if isinstance(log, Log) else os.fsdecode(log))
+    source = None if isinstance(log, Log) else os.fsdecode(log)
+    require_reach(record, machine, source)
     ticks = ticks_of(record, machine)
     machine.updated(ticks | in_whole_ticks(machine, ticks))  # refuses a scenario that has no run at these ticks
     with reporting(progress, "legs identified") as report:
         drives = fit_drives(record, leg_units(machine.robot), report)
+    if drives.if_exchanged is None:  # commands that were held repeat as well
+        require_readings(record, source)
     scene = Scene(machine)
     camera = None if record.frames is None else fit_camera(record, scene, drives)
     found = None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from hexservo.findings.evidence import Verdict
 from hexservo.findings.identification.drives import MOST_DELAY, Drives
 from hexservo.findings.identification.frames import SEEN, CameraFit
+from hexservo.findings.identification.frames_outliers import NoOutliers
 from hexservo.findings.identification.log import Log
 from hexservo.findings.identification.motors import MotorFit
 from hexservo.findings.identification.one_drive import LIMITS, limit_of, response_of
@@ -31,6 +32,7 @@ _FEWEST_TICKS = {  # of the times that a scenario has in whole ticks
     "sensors.period": 1,
     "actuators.delay": 0,
 }
+_OF_DRIVES = ("actuators.delay", "actuators.position.bandwidth", "actuators.position.damping")
 _SCATTER = ("camera.noise", "camera.quantisation")
 _WHOLE = 1e-9  # of a tick, or of the time: what is not seen of a difference
 
@@ -44,7 +46,8 @@ class Changes(Part):
     given: Mapping[str, Any]  # what the scenario of the machine had
     verdicts: Mapping[str, Verdict]  # of the parts that the log was searched for, by title
     faults: Mapping[str, Any]  # keys that only a diagnosis of the log has
-    times: Mapping[str, float]  # of `identified`, those of the camera before they were rounded [s]
+    times: Mapping[str, float]  # of `identified`, those of drives and camera before they were rounded [s]
+    open: Sequence[str] = ()  # keys of the drives that the log was searched for, and does not determine
 
 
 def ticks_of(log: Log, machine: Scenario) -> dict[str, Any]:
@@ -176,10 +179,23 @@ def _of_camera(camera: CameraFit, machine: Scenario, step: float) -> dict[str, A
         changes[key] = max(_FEWEST_TICKS[key] * step, _whole(value, step))
     if camera.dropout is not None:
         changes |= {"camera.dropout": _digits(camera.dropout.value)}
-    if camera.outliers is not None and camera.outliers.are_known:
+    if isinstance(camera.outliers, NoOutliers):
+        if camera.outliers.exclude(machine.camera.outlier_probability, machine.camera.outlier_size):
+            changes |= {"camera.outlier_probability": 0.0}
+    elif camera.outliers is not None and camera.outliers.are_known:
         changes |= {"camera.outlier_probability": _digits(camera.outliers.probability.value)}
         changes |= {"camera.outlier_size": _digits(camera.outliers.size.value)}
     return changes
+
+
+def open_keys(drives: Drives, changes: Mapping[str, Any]) -> list[str]:
+    """Return the keys of drives that moved which are not among those that the log gives."""
+    return [key for key in _OF_DRIVES if key not in changes] if drives.moved and drives.explains else []
+
+
+def times_of_drives(drives: Drives, changes: Mapping[str, Any]) -> dict[str, float]:
+    """Return the delay [s] before it was rounded to whole ticks, by dotted key; nothing where the log gives no key."""
+    return {"actuators.delay": drives.delay * drives.period} if "actuators.delay" in changes and drives.taken else {}
 
 
 def times_of_camera(camera: CameraFit, machine: Scenario) -> dict[str, float]:

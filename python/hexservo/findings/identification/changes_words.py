@@ -18,7 +18,7 @@ def section(found: Changes) -> Section:
     verdict: Verdict = "bad" if "bad" in verdicts else "good" if verdicts == {"good"} else "warning"
     if _TIMEOUT in found.identified and verdict == "good":
         verdict = "warning"
-    rows += [[key, f"{_text(value)} (whole ticks)", _text(found.given[key])] for key, value in found.rounded.items()]
+    rows += [[key, _left(found, key), _text(found.given[key])] for key in dict.fromkeys([*found.open, *found.rounded])]
     table = Table(
         "Keys of the scenario",
         (Column("key"), Column("identified"), Column("given")),
@@ -76,6 +76,14 @@ def _became(found: Changes, key: str) -> str:
     if key not in found.times or f"{found.times[key]:.4g}" == f"{value:.4g}":
         return _text(value)
     return f"{_text(value)} ({found.times[key]:.4g} before rounding)"
+
+
+def _left(found: Changes, key: str) -> str:
+    """Return what becomes of a key that the log does not give."""
+    words = ["not determined"] if key in found.open else []
+    if key not in found.rounded:
+        return f"{_text(found.given[key])} ({', '.join(words)})"
+    return f"{_text(found.rounded[key])} ({', '.join([*words, 'whole ticks'])})"
 
 
 def _text(value: Any) -> str:

@@ -44,18 +44,28 @@ class LegRecord:
     joints: Array  # (n,)
     period: float
     fitted: int  # ticks that are fitted
+    fresh: Mask  # (n,) at which the joint was read: other readings are repeated, and do not count
     rests: Rests | None = None
     shifted: float = 0.0  # what is taken out of the commands before: the fit's offset is from these [m; rad]
 
     @property
     def moves(self) -> bool:
         """Whether the leg moves in what is fitted."""
-        return leg_moves(self.commands, self.joints, slice(self.fitted))
+        return leg_moves(self.commands[self.fresh], self.joints[self.fresh], slice(len(self.measured)))
+
+    @property
+    def measured(self) -> Array:
+        """The readings that are fitted, (m,) [m; rad]."""
+        return self.read(self.joints[: self.fitted])
+
+    def read(self, coordinates: Array) -> Array:
+        """Return those of coordinates at the first ticks, (k,), that belong to readings that count."""
+        return coordinates[self.fresh[: len(coordinates)]]
 
     def explained(self, predicted: Array) -> float | None:
         """Return the share of the motion that is predicted (n,) where nothing is fitted; None without motion there."""
-        apart = slice(self.fitted, None)
-        return predicted_share(self.commands, self.joints, predicted[apart], apart)
+        apart, fresh = slice(len(self.measured), None), self.fresh
+        return predicted_share(self.commands[fresh], self.joints[fresh], predicted[fresh][apart], apart)
 
     def response(self, values: Array, base: int | None = None, ticks: int | None = None, finer: int = 1) -> Array:
         """Return the reading at each tick, (n,), or at the first ones alone, or at `finer` equal steps in each tick.
@@ -214,7 +224,7 @@ def fit_model(
     finer
         Parts of a tick, each in the core's steps, with a delay that is given.
     """
-    measured = record.joints[: record.fitted]
+    measured = record.measured
     base = None if delays is None else round(float(start[DELAY]))
     searching = delays is not None
     free = np.array([True, True, *limits, True, True, searching or start[DELAY] > 0, True, searching])
@@ -237,7 +247,7 @@ def fit_model(
 
     def residuals(x: Array) -> Array:
         response = record.response(unpacked(x), base, record.fitted, finer if base is None else 1)
-        left = response[:: finer if base is None else 1] - measured
+        left = record.read(response[:: finer if base is None else 1]) - measured
         return np.where(np.isfinite(left), left, 1e3 * scale) / scale
 
     logs = np.clip(np.log(np.maximum(values[:4][free[:4]], 1e-12)), lowest[free[:4]], highest[free[:4]])
@@ -271,12 +281,12 @@ def fit_model(
 
 def starts(record: LegRecord, delay: int, limits: tuple[float, float]) -> list[Array]:
     """Return the values of a coarse grid with a delay and limits, those first that explain the record best."""
-    measured = record.joints[: record.fitted]
+    measured = record.measured
     fastest = 0.4 / record.period
     tried = []
     for bandwidth, damping in product(np.geomspace(fastest / 400.0, fastest, _BANDWIDTHS), _DAMPINGS):
         values = np.array([bandwidth, damping, *limits, measured[0], 0.0, record.commands[0], 0.0, delay])
-        left = record.response(values, ticks=record.fitted) - measured
+        left = record.read(record.response(values, ticks=record.fitted)) - measured
         values[OFFSET] = -left.mean()
         values[_PLACE] -= values[OFFSET]
         left -= left.mean()

@@ -27,11 +27,12 @@ from hexservo.findings.identification.drive_models import (
     starts,
 )
 from hexservo.findings.identification.interval import LEVEL, Interval
-from hexservo.findings.identification.log import FITTED, LEAST_EXPLAINED, Log, scatter
+from hexservo.findings.identification.joints_repeated import fresh_readings
+from hexservo.findings.identification.log import FEWEST, FITTED, LEAST_EXPLAINED, Log, scatter
 from hexservo.findings.identification.rests import Rests, find_rests, with_friction
 from hexservo.findings.part import Part
 from hexservo.run.progress import ProgressCallback
-from hexservo.scenario.arrays import Array
+from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.leg_units import LegUnits
 
 __all__ = ["MOST_DELAY", "DriveFit", "Drives", "are_enough", "fit_drives"]
@@ -106,6 +107,7 @@ class Drives(Part):
     finely: Array = field(repr=False)  # (n f, 6) predicted from the first tick on, at f equal steps in each tick
     if_exchanged: float | None = None  # share of the motion of the worst leg that is predicted with its commands and
     # joints exchanged, where that is clearly more; else None
+    repeated: int = 0  # readings of all joints that repeat those of the tick before: they do not count
 
     @property
     def moved(self) -> list[DriveFit]:
@@ -113,9 +115,14 @@ class Drives(Part):
         return [fit for fit in self.fits if fit.bandwidth is not None]
 
     @property
+    def delay(self) -> float:
+        """The median of the delays of the legs that keys are taken from [ticks]."""
+        return float(np.median([fit.delay.value for fit in self.taken if fit.delay is not None]))
+
+    @property
     def whole_delay(self) -> int:
-        """The delay of a scenario, which has whole ticks: the median of the legs that keys are taken from, rounded."""
-        return round(float(np.median([fit.delay.value for fit in self.taken if fit.delay is not None])))
+        """The delay of a scenario, which has whole ticks."""
+        return round(self.delay)
 
     @property
     def worst(self) -> DriveFit | None:
@@ -166,7 +173,10 @@ def fit_drives(
         alone is given, and not searched.
     """
     fitted = int(FITTED * len(log.time))
-    records = [_record(log, leg, fitted) for leg in range(6)]
+    fresh = fresh_readings(log.joints)
+    if fresh.sum() < FEWEST:  # as where the joints are commands that were held
+        fresh[:] = True
+    records = [_record(log, leg, fitted, fresh) for leg in range(6)]
     found: list[list[Model]] = []
     for leg, record in enumerate(records):
         found.append(_search(record, delays) if record.moves else [])
@@ -176,7 +186,9 @@ def fit_drives(
     described = [_described(record, leg + 1, found[leg]) for leg, record in enumerate(records)]
     finely = np.stack([prediction for _, prediction in described], axis=1)
     predicted = finely[:: len(finely) // len(log.time)]
-    shown = slice(fitted, None, max(1, (len(log.time) - fitted) // 500))
+    apart = np.flatnonzero(fresh)
+    apart = apart[apart >= fitted]
+    shown = apart[:: max(1, len(apart) // 500)]
     drives = Drives(
         fits=tuple(fit for fit, _ in described),
         period=log.period,
@@ -187,9 +199,10 @@ def fit_drives(
         measured=log.joints[shown],
         predicted=predicted[shown],
         finely=finely,
+        repeated=int((~fresh).sum()),
     )
     drives = replace(drives, fits=_rounded(drives, records, found))
-    return replace(drives, if_exchanged=_if_exchanged(log, drives, fitted, delays))
+    return replace(drives, if_exchanged=_if_exchanged(log, drives, records, delays))
 
 
 def _rounded(drives: Drives, records: Sequence[LegRecord], found: Sequence[list[Model]]) -> tuple[DriveFit, ...]:
@@ -211,24 +224,25 @@ def _rounded(drives: Drives, records: Sequence[LegRecord], found: Sequence[list[
     return tuple(rounded(fit, record, _best(models)) if models else fit for fit, record, models in each)
 
 
-def _if_exchanged(log: Log, drives: Drives, fitted: int, delays: Sequence[int]) -> float | None:
+def _if_exchanged(log: Log, drives: Drives, records: Sequence[LegRecord], delays: Sequence[int]) -> float | None:
     """Return what is predicted of the motion of the worst leg if the commands are its joints, if it is clearly more."""
     worst = drives.worst
     if worst is None or worst.explained is None or (worst.explained >= GOOD and worst.response_is_known):
         return None
-    record = _record(replace(log, commands=log.joints, joints=log.commands), worst.leg - 1, fitted)
+    exchanged, leg = replace(log, commands=log.joints, joints=log.commands), worst.leg - 1
+    record = _record(exchanged, leg, records[leg].fitted, np.ones(len(log.time), dtype=bool))
     best = _best(_search(record, delays))
     explained = record.explained(record.response(best.values, best.base))
     clearly = explained is not None and explained >= GOOD and 1.0 - explained < _LESS * (1.0 - worst.explained)
     return explained if clearly else None
 
 
-def _record(log: Log, leg: int, fitted: int) -> LegRecord:
+def _record(log: Log, leg: int, fitted: int, fresh: Mask) -> LegRecord:
     commands, joints = log.commands[:, leg], log.joints[:, leg]
     rests = find_rests(commands, joints)
     drawn = with_friction(commands, joints, rests)
     shifted = rests.same if rests is not None and drawn is not commands else 0.0
-    return LegRecord(drawn, joints, log.period, fitted, rests, shifted)
+    return LegRecord(drawn, joints, log.period, fitted, fresh, rests, shifted)
 
 
 def _search(record: LegRecord, delays: Sequence[int]) -> list[Model]:

@@ -60,7 +60,7 @@ def section(found: Drives) -> Section:
         sentences=_sentences(found),
         items=(table, *_curves(found)),
         verdict=_verdict(found),
-        data={"fits": [asdict(fit) for fit in found.fits], "period": found.period},
+        data={"fits": [asdict(fit) for fit in found.fits], "period": found.period, "repeated": found.repeated},
     )
 
 
@@ -124,6 +124,11 @@ def _sentences(found: Drives) -> list[str]:
         f"Fitted to {number(found.fitted)} s of the log, in ticks of {number(1e3 * found.period)} ms. "
         + _of_the_prediction(found)
     ]
+    if found.repeated:
+        words.append(
+            f"{found.repeated} readings of the joints repeat those of the tick before, of all legs: they do not count. "
+            "Read the encoders at every tick to know the values better."
+        )
     if len(moved) < 6:
         still = _legs(fit for fit in found.fits if fit.bandwidth is None)
         words.append(f"Not commanded to move by more than their noise, or at rest, and not identified: {still}.")

@@ -31,7 +31,7 @@ _SAME = 1e-6  # of a tick
 _RESOLVED = 1e-6  # of the periods that are searched
 
 
-def clock(times: Array) -> tuple[Interval, Interval] | None:
+def clock(times: Array, ticks: Array | None = None) -> tuple[Interval, Interval] | None:
     """Return the period of frames [s] and the share of them that is missing, both with 95 % intervals.
 
     The line through the times of numbered frames gives the period, and the gaps in the numbers the missing frames, with
@@ -41,6 +41,9 @@ def clock(times: Array) -> tuple[Interval, Interval] | None:
     ----------
     times
         (m,) of exposure or arrival [s], in any order.
+    ticks
+        (n,) times of the log's ticks [s]. Frames that all have times of ticks are known no better than to a tick: if
+        their period is a whole number of them, the times alone do not show that they are rounded.
 
     Returns
     -------
@@ -56,7 +59,11 @@ def clock(times: Array) -> tuple[Interval, Interval] | None:
     while low < highest:
         period = _period_between(distinct, low, _BAND * low)
         if period is not None:
-            return None if _is_harmonic(distinct, period, lowest) else _line(np.sort(times), period)
+            return (
+                None
+                if _is_harmonic(distinct, period, lowest)
+                else _line(np.sort(times), period, _tick_of(times, ticks))
+            )
         low *= _BAND
     return None
 
@@ -116,13 +123,13 @@ def _scatter(times: Array, period: float) -> float:
     return float(np.std(left))
 
 
-def _line(times: Array, period: float) -> tuple[Interval, Interval]:
+def _line(times: Array, period: float, tick: float) -> tuple[Interval, Interval]:
     numbers = _numbers(times, period)
     slope, start = np.polyfit(numbers, times - times[0], 1)
     left = times - times[0] - slope * numbers - start
     variance = correlated(left) * float(left @ left) / (len(times) - 2)
     found = Interval.around(float(slope), float(np.sqrt(variance / ((numbers - numbers.mean()) ** 2).sum())))
-    rounded = _of_rounding(numbers, times - times[0], found.value)
+    rounded = _of_rounding(numbers, times - times[0], found.value, tick)
     found = replace(found, low=min(found.low, rounded[0]), high=max(found.high, rounded[1]))
     taken = max(int(numbers[-1] - numbers[0]) + 1, len(times))
     lost = taken - len(times)
@@ -130,16 +137,28 @@ def _line(times: Array, period: float) -> tuple[Interval, Interval]:
     return found, Interval(lost / taken, float(ends.low), float(ends.high))
 
 
-def _of_rounding(numbers: Array, times: Array, period: float) -> tuple[float, float]:
+def _tick_of(times: Array, ticks: Array | None) -> float:
+    """Return the time between the ticks of a log if all frames have times of these; else 0."""
+    if ticks is None:
+        return 0.0
+    tick = float(ticks[-1] - ticks[0]) / (len(ticks) - 1)
+    nearest = ticks[np.clip(np.rint((times - ticks[0]) / tick).astype(int), 0, len(ticks) - 1)]
+    return tick if float(np.abs(times - nearest).max()) < _SAME * tick else 0.0
+
+
+def _of_rounding(numbers: Array, times: Array, period: float, tick: float) -> tuple[float, float]:
     """Return the periods [s] between which numbered frames fit times that are rounded to ticks; else that of the line.
+
+    A tick of 0 is not known: it is then the step of the times, if they have one that is shorter than the period.
 
     Where ticks and frames beat slowly, rounding has an order that is not seen as a correlation of successive frames.
     But it stays within one tick, and so does the spread of the times about the right line. With a jitter of less than
     half a tick, this is within one and a half; a longer one makes rounding random.
     """
-    tick = grid_of(times)
-    if not 0.0 < tick < _MOST_OF_TICK * period:
-        return period, period
+    if tick == 0.0:
+        tick = grid_of(times)
+        if not 0.0 < tick < _MOST_OF_TICK * period:
+            return period, period
 
     def spread(tried: float) -> float:
         return float(np.ptp(times - tried * numbers))

@@ -28,7 +28,7 @@ from hexservo.findings.identification.frames_noise import (
     scatter_of,
     spline_shares,
 )
-from hexservo.findings.identification.frames_outliers import Outliers, outliers_of
+from hexservo.findings.identification.frames_outliers import NoOutliers, Outliers, outliers_of
 from hexservo.findings.identification.frames_repeated import repeats
 from hexservo.findings.identification.interval import Interval, correlated, half_width, robust_deviations
 from hexservo.findings.identification.joint_motion import JointMotion
@@ -90,7 +90,9 @@ class CameraFit(Part):
     jitter_of_ticks: bool = False  # the jitter may be motion of the joints between ticks
     rounding: float = 0.0  # step that pixels are rounded to, whose part is not in `noise` [px]; 0: none
     of_rounding: float = 0.0  # share of what the fit leaves across the motion that the rounding explains
-    outliers: Outliers | None = None  # wrong detections, whose frames do not count in the fit; None: none
+    outliers: Outliers | NoOutliers | None = (
+        None  # wrong detections, whose frames do not count in the fit; None: not known
+    )
     open: str = ""  # why nothing was found; empty if something was
 
     @property
@@ -171,7 +173,7 @@ def fit_camera(log: Log, scene: Scene, drives: Drives | None = None) -> CameraFi
         if len(frames.arrival) < _FEWEST:
             return CameraFit(count, open=f"expected at least {_FEWEST} frames, got {repeated} of {count} repeated")
     stamped = frames.exposure is not None
-    period, dropout = clock(frames.arrival if frames.exposure is None else frames.exposure) or (None, None)
+    period, dropout = clock(frames.arrival if frames.exposure is None else frames.exposure, log.time) or (None, None)
     rounding = grid_of(frames.features[:, ::2], frames.features[:, 1::2])
     joints = JointMotion.of(log, drives)
     sight = PredictedImages.of(log, frames, scene, joints)
@@ -227,9 +229,10 @@ _Fit = tuple[Interval, dict[str, Any]]  # the shift of the frames' times [s], an
 
 def _cleaned(
     sight: PredictedImages, log: Log, joint_noise: Array, *, stamped: bool
-) -> tuple[_Fit | str, Outliers | None]:
+) -> tuple[_Fit | str, Outliers | NoOutliers | None]:
     """Return what `_fit` does without the frames that have wrong detections, and these."""
-    fit, seen = _fit(sight, log, joint_noise, stamped=stamped), None
+    fit = _fit(sight, log, joint_noise, stamped=stamped)
+    seen: Outliers | NoOutliers | None = None
     left_out = np.zeros(len(sight.times), dtype=bool)
     for _ in range(_CLEANED):
         if isinstance(fit, str):
@@ -237,7 +240,7 @@ def _cleaned(
         late, target, jitter = fit[0].value, fit[1]["target"], fit[1]["jitter"]
         left = sight.left(late, target)
         found = None if left is None else outliers_of(left, sight.speed(late, target, jitter or log.period))
-        frames, now = found or (np.zeros_like(left_out), None)
+        frames, now = found if isinstance(found, tuple) else (np.zeros_like(left_out), found)
         if (frames == left_out).all():
             seen = now
             break

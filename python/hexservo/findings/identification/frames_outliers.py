@@ -38,8 +38,31 @@ class Outliers:
         return self.probability.is_bounded and not self.last
 
 
-def outliers_of(left: Array, speed: Array) -> tuple[Mask, Outliers] | None:
-    """Return which frames (m,) have a wrong detection, by the residuals of images; None without any, or if most have.
+@dataclass(frozen=True)
+class NoOutliers:
+    """Points of a log of which none is a wrong detection, as far as noise lets one be seen."""
+
+    points: int  # of all frames
+    farther: float  # than this an outlier is seen [px]
+    noise: float  # standard deviation of a coordinate [px]
+
+    def exclude(self, probability: float, size: float) -> bool:
+        """Return whether there would be one, with 95 % confidence.
+
+        Parameters
+        ----------
+        probability
+            Of a point.
+        size
+            Standard deviation of what is added to a coordinate [px].
+        """
+        both = size**2 + self.noise**2
+        seen = probability * float(np.exp(-(self.farther**2) / (2.0 * both))) if both > 0.0 else 0.0
+        return bool((1.0 - seen) ** self.points < 1.0 - LEVEL)
+
+
+def outliers_of(left: Array, speed: Array) -> tuple[Mask, Outliers] | NoOutliers | None:
+    """Return which frames (m,) have a wrong detection, by the residuals of images; None if most have.
 
     A point is an outlier if its distance d has d^2 > c = 2 S ln(points/0.001), as Gaussian noise has once in a thousand
     logs, after what its frame is late by, and the median of all images, are taken out. S is the variance of a
@@ -64,10 +87,12 @@ def outliers_of(left: Array, speed: Array) -> tuple[Mask, Outliers] | None:
     squared, straight = _distances_by_others(residuals, speeds, _far(first)[0])
     found, beyond = _far(squared)
     number, frames = int(found.sum()), np.asarray(found.any(axis=1))
-    if not number or frames.mean() > _MOST:
+    variance = float(np.median(squared)) / _MEDIAN
+    if not number:
+        return NoOutliers(found.size, float(np.sqrt(beyond.mean())), float(np.sqrt(variance)))
+    if frames.mean() > _MOST:
         return None
     edge = float(beyond[found].mean())
-    variance = float(np.median(squared)) / _MEDIAN
     both = float((straight[found] - beyond[found]).mean()) / 2.0  # variance of the error and the noise together
     ends = [2 * number * both / end for end in chi2.ppf([0.5 + LEVEL / 2, 0.5 - LEVEL / 2], 2 * number)]
     size = Interval(*(float(np.sqrt(max(one - variance, 0.0))) for one in (both, *ends)))

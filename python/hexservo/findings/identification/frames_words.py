@@ -9,7 +9,7 @@ from hexservo.findings.evidence import Column, Section, Table, Verdict
 from hexservo.findings.identification.drives import GOOD
 from hexservo.findings.identification.drives_words import at_most, with_interval
 from hexservo.findings.identification.frames import SEEN, CameraFit
-from hexservo.findings.identification.frames_outliers import Outliers
+from hexservo.findings.identification.frames_outliers import NoOutliers, Outliers
 from hexservo.findings.identification.interval import Interval
 from hexservo.findings.identification.predicted_images import MOST_LATENCY
 from hexservo.scenario.wording import number
@@ -105,7 +105,7 @@ def doubts(found: CameraFit) -> list[str]:
             f"The exposure times do not agree with the joints: frames were taken {number(1e3 * abs(stamps.value))} ms "
             f"{'before' if stamps.value > 0 else 'after'} what they state."
         )
-    if found.outliers is not None and not found.outliers.are_known:
+    if isinstance(found.outliers, Outliers) and not found.outliers.are_known:
         reason = (
             "they stay for several frames, and those of the model come by themselves"
             if found.outliers.last
@@ -188,7 +188,7 @@ def _of_repeated(found: CameraFit) -> list[str]:
 
 def _of_outliers(found: CameraFit) -> list[str]:
     outliers = found.outliers
-    if outliers is None or not found.explains:
+    if not isinstance(outliers, Outliers) or not found.explains:
         return []
     return [
         f"{outliers.frames} of {outliers.searched} frames have a point that is more than {number(outliers.farther)} px "
@@ -210,8 +210,8 @@ def _of_rounding(found: CameraFit) -> list[str]:
     ]
 
 
-def _rows_of_outliers(outliers: Outliers | None) -> list[tuple[str, str | None, str]]:
-    if outliers is None:
+def _rows_of_outliers(outliers: Outliers | NoOutliers | None) -> list[tuple[str, str | None, str]]:
+    if not isinstance(outliers, Outliers):
         return []
     return [
         ("points that are wrong detections", with_interval(outliers.probability.times(100)), "%"),

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from hexservo.findings.identification.drives import Drives
+from hexservo.findings.identification.joints_repeated import fresh_readings
 from hexservo.findings.identification.log import Log
 from hexservo.scenario.arrays import Array
 
@@ -27,20 +28,22 @@ class JointMotion:
     @classmethod
     def of(cls, log: Log, drives: Drives | None = None) -> JointMotion:
         """Return the motion in a log, of each leg with its drive if that predicts readings that are left out better."""
+        fresh = fresh_readings(log.joints)
+        time, joints = log.time[fresh], log.joints[fresh]
         if drives is None:
-            return cls(log.time, log.joints, None, CubicSpline(log.time, log.joints))
+            return cls(time, joints, None, CubicSpline(time, joints))
         finer = len(drives.finely) // len(log.time)
         times = log.period / finer * np.arange(len(drives.finely))
         by_drives = drives.finely - drives.finely[0]
-        left = log.joints - CubicSpline(times, by_drives)(log.time)  # at its own times: ticks need not be even
-        better = _left_out(log.time, left) < _left_out(log.time, log.joints)
+        left = joints - CubicSpline(times, by_drives)(time)  # at its own times: ticks need not be even
+        better = _left_out(time, left) < _left_out(time, joints)
         fine = CubicSpline(times, np.where(better, by_drives, 0.0))
-        left = np.where(better, left, log.joints)
-        return cls(log.time, left, fine, CubicSpline(log.time, left))
+        left = np.where(better, left, joints)
+        return cls(time, left, fine, CubicSpline(time, left))
 
     def __call__(self, times: Array) -> Array:
         """Return the coordinates at times (m,) [s], (m, 6) [m; rad]."""
-        left: Array = self.spline(times)
+        left: Array = self.spline(np.minimum(times, self.time[-1]))  # the last readings may be repeated
         return left if self.drives is None else left + self.drives(times)
 
     def halved(self) -> tuple[JointMotion, JointMotion]:

@@ -31,15 +31,17 @@ LEAST_EXPLAINED = 0.5
 """Share of the motion in that rest that a model has to predict: one that predicts less is of something else."""
 JUDGED = 5.0
 """Standard deviations of the noise, of those of a leg's readings that a prediction is judged by: noise is 4 % of it."""
+FEWEST = 50
+"""Ticks: with fewer there is nothing to fit."""
 RESOLVED = 12
 """Decimals of readings [m; rad], beyond which two differ by the arithmetic of a driver alone."""
 _STILL = 5.0  # standard deviations of the noise that a leg has to move by
 _MOTION = 1.4  # of readings over that of their noise, where the leg moves: half of the variance
 _DIFFERENCES = 6  # of readings one after the other: they have little of a motion, and much of white noise
-_FEWEST = 50  # rows: with fewer there is nothing to fit
 _LONGEST = 0.5  # [s]: no machine is commanded more seldom
 _UNEVEN = 0.05  # of the period: most that a tick may be off its place
 _LATE = 0.5  # of the period: most that a few ticks may be, as where the computer was late
+_PAUSE = 1.75  # of the usual time between two ticks: from which on ticks are missing, if the next one is not early
 _FEW = 0.02  # share of the ticks: with so many the lag of drives of 6 Hz is found to 1 % at 50 ticks a second
 _BEYOND = 0.5  # [s]: most that a frame may be before the first tick or after the last
 _LEAST_ADVANCE = 0.1  # of the time between the first and the last arrival: least between their exposures
@@ -124,17 +126,18 @@ class Log:
                 raise ValueError(
                     f"{name}: expected finite numbers, got {values[tick, leg]} of leg {leg + 1} at tick {tick}"
                 )
-        if count < _FEWEST:
-            raise ValueError(f"time: expected at least {_FEWEST} ticks, got {count}")
+        if count < FEWEST:
+            raise ValueError(f"time: expected at least {FEWEST} ticks, got {count}")
         if not np.isfinite(self.time).all():
             raise ValueError("time: expected finite numbers, got others")
-        if fault := _fault_of_order(self.time):
+        if fault := _fault_of_order(self.time, "ticks"):
             tick, words = fault
-            raise ValueError(f"tick {tick}, time: {words}; sort the ticks by their times")
+            raise ValueError(f"tick {tick}, time: {words}")
         if self.period > _LONGEST:
             raise ValueError(
                 f"time: expected seconds, with ticks of at most {_LONGEST} s, got one every {self.period:.6g}: are "
-                "they in ms? Divide the times by 1000, arrival and exposure too"
+                "they in ms? Divide the times by 1000, arrival and exposure too. A count of ticks is none of seconds: "
+                "multiply it by the period"
             )
         passed = self.time - self.time[0]
         off = passed - self.period * np.arange(count)
@@ -142,6 +145,8 @@ class Log:
         few = float((off > _UNEVEN * self.period).mean()) <= _FEW
         if not self.period > 0.0 or not (off <= (_LATE if few else _UNEVEN) * self.period).all():
             worst = int(np.argmax(off))
+            if pause := _fault_of_pause(passed):
+                raise ValueError(pause)
             raise ValueError(
                 f"time: expected a tick every {self.period:.6g} s, got one {passed[worst]:.6g} s after the first, "
                 f"{off[worst]:.3g} s off its place; resample the log to even ticks"
@@ -242,13 +247,34 @@ def _make_arrays(record: Frames | Log, names: Sequence[str]) -> None:
         object.__setattr__(record, name, numbers)
 
 
-def _fault_of_order(time: Array) -> tuple[int, str] | None:
-    """Return the first tick that is not later than the one before it, counted from 0, and what is wrong with it."""
+def _fault_of_pause(passed: Array) -> str:
+    """Return where ticks (n,) [s] are missing, so that all later ones are off their places; "" where none are."""
+    steps = np.diff(passed)
+    usual, tick = float(np.median(steps)), int(np.argmax(steps))
+    if steps[tick] < _PAUSE * usual or (tick + 1 < len(steps) and steps[tick + 1] < _LATE * usual):
+        return ""
+    return (
+        f"time: expected a tick every {usual:.6g} s, got none for {steps[tick]:.6g} s from {passed[tick]:.6g} s after "
+        "the first on; cut the log there, and give one of its parts"
+    )
+
+
+def _fault_of_order(time: Array, rows: str) -> tuple[int, str] | None:
+    """Return the first tick that is not later than the one before it, counted from 0, and what is wrong with it.
+
+    Parameters
+    ----------
+    time
+        (n,) of the ticks [s].
+    rows
+        What each of them is, in the plural.
+    """
     back = np.flatnonzero(np.diff(time) <= 0.0)
     if not len(back):
         return None
     tick = int(back[0]) + 1
-    return tick, f"expected times that increase, got {time[tick]:.12g} after {time[tick - 1]:.12g}"
+    repair = f"keep one of the two {rows}" if time[tick] == time[tick - 1] else f"sort the {rows} by their times"
+    return tick, f"expected times that increase, got {time[tick]:.12g} after {time[tick - 1]:.12g}; {repair}"
 
 
 def _check_frames(frames: Frames, time: Array) -> None:
@@ -370,9 +396,9 @@ def _parsed(lines: Iterable[str], source: str) -> Log:
         raise ScenarioError("expected a line of column names and lines of numbers, got none", source)
     table = dict(zip(columns, np.array(rows).T, strict=True))
     time = table[_TIME]
-    if fault := _fault_of_order(time):
+    if fault := _fault_of_order(time, "lines"):
         tick, words = fault
-        raise ScenarioError(f"line {numbered[tick]}, time: {words}; sort the lines by their times", source)
+        raise ScenarioError(f"line {numbered[tick]}, time: {words}", source)
     period = period_of(time)
     commands, joints = (np.stack([table[f"{name}_{leg}"] for leg in _LEGS], axis=1) for name in ("command", "joint"))
     frames = _frames(table, points, numbered, source) if points else None

@@ -18,10 +18,11 @@ from scipy.optimize import least_squares
 from hexservo import _core
 from hexservo.findings.identification.drives import MOST_DELAY, Drives
 from hexservo.findings.identification.interval import Interval, correlated, deviations, half_width
+from hexservo.findings.identification.joints_repeated import fresh_readings
 from hexservo.findings.identification.log import FITTED, LEAST_EXPLAINED, Log, predicted_share
 from hexservo.findings.part import Part
 from hexservo.run.progress import ProgressCallback
-from hexservo.scenario.arrays import Array
+from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.leg_units import LegUnits, leg_units
 from hexservo.scenario.parameters import core_parameters
@@ -157,11 +158,13 @@ def fit_motors(log: Log, machine: Scenario, drives: Drives, report: ProgressCall
     if len(drives.moved) < 6:
         return None
     plant, fitted = _Plant(log, machine), int(FITTED * len(log.time))
-    measured = log.joints[:fitted]
+    fresh = fresh_readings(log.joints)
+    read = fresh[:fitted]
+    measured = log.joints[:fitted][read]
     scale = float(np.std(measured - measured.mean(axis=0)))
 
     def residuals(delay: int, logs: Array) -> Array:
-        left = (plant.response(delay, _values(logs), fitted) - measured) / scale
+        left = (plant.response(delay, _values(logs), fitted)[read] - measured) / scale
         return np.asarray(np.where(np.isfinite(left), np.clip(left, -1e3, 1e3), 1e3).ravel())
 
     around = round(float(np.median([fit.delay.value for fit in drives.moved if fit.delay is not None])))
@@ -177,7 +180,7 @@ def fit_motors(log: Log, machine: Scenario, drives: Drives, report: ProgressCall
             delays += [more for more in (best - 1, best + 1) if more not in delays and 0 <= more <= MOST_DELAY]
     coarse = min(fits, key=lambda fit: fit.cost)
     return _result(
-        log, machine, drives, plant, _finished(plant, partial(residuals, coarse.delay), coarse), fitted, scale
+        log, machine, drives, plant, _finished(plant, partial(residuals, coarse.delay), coarse), fitted, scale, fresh
     )
 
 
@@ -228,20 +231,29 @@ def _start(log: Log, machine: Scenario, drives: Drives, residuals: Callable[[Arr
 
 
 def _result(
-    log: Log, machine: Scenario, drives: Drives, plant: _Plant, best: _Fit, fitted: int, scale: float
+    log: Log,
+    machine: Scenario,
+    drives: Drives,
+    plant: _Plant,
+    best: _Fit,
+    fitted: int,
+    scale: float,
+    fresh: Mask,
 ) -> MotorFit:
     values = _values(best.logs)
     intervals = _intervals(values, best.deviations(), _SMALLEST * values["kp"] * _farthest(log))
-    predicted, measured = plant.response(best.delay, values)[fitted:], log.joints[fitted:]
+    apart = np.flatnonzero(fresh)
+    apart = apart[apart >= fitted]
+    predicted, measured = plant.response(best.delay, values)[apart], log.joints[apart]
     every = max(1, -(-len(measured) // _CURVE))
     error = _rms(predicted - measured)
     kept = tuple(key for key, one in intervals.items() if not one.is_bounded)
     given = values | {key: float(value_at(machine, f"actuators.motor.{key}")) for key in kept}
-    if kept and not _rms(plant.response(best.delay, given)[fitted:] - measured) <= _ALIKE * error:  # or not a number
+    if kept and not _rms(plant.response(best.delay, given)[apart] - measured) <= _ALIKE * error:  # or not a number
         kept, given = (), values
         plant.response(best.delay, given, 1)
-    apart = slice(fitted, None)
-    shares = [predicted_share(log.commands[:, leg], log.joints[:, leg], predicted[:, leg], apart) for leg in range(6)]
+    commands, joints, rest = log.commands[fresh].T, log.joints[fresh].T, slice(len(best.left) // 6, None)
+    shares = [predicted_share(*of_leg, rest) for of_leg in zip(commands, joints, predicted.T, strict=True)]
     return MotorFit(
         **intervals,
         delay=best.delay,
@@ -253,7 +265,7 @@ def _result(
         explained=min((share for share in shares if share is not None), default=None),
         still=tuple(leg + 1 for leg, share in enumerate(shares) if share is None),
         units=leg_units(machine.robot),
-        time=log.time[fitted:][::every],
+        time=log.time[apart][::every],
         measured=measured[::every],
         predicted=predicted[::every],
         substeps=plant.substeps(),

@@ -43,8 +43,8 @@ def section(found: MotorFit) -> Section:
     words = [
         f"Six motors with the platform predict the part kept apart to {number(1e3 * found.error)} {unit} (RMS), six "
         f"responses without coupling to {number(1e3 * found.error_of_drives)} {unit}.",
-        f"Mass and inertia of the platform, and the limit of {number(found.limit)} {found.units.effort}, are those of "
-        "the machine that was given.",
+        f"Mass and inertia of the platform, and the limit of {number(found.limit, 4)} {found.units.effort}, are those "
+        "of the machine that was given.",
     ]
     words += of_still_legs(found.still)
     if not found.explains and found.explained is not None:
