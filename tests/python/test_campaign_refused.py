@@ -200,6 +200,46 @@ def test_a_campaign_leaves_out_what_is_no_valid_scenario(tmp_path: Path) -> None
     assert found[0].equals(found[1])
 
 
+# 42 % of these are no body: those with one large moment, 3 (1/4) (3/4)^2 of them.
+OFTEN = {"robot.inertia": {"choice": [1e-4, 1e-4, 1e-4, 4e-4], "each": True}}
+
+
+@pytest.mark.parametrize("size", [1, 7, 25, 400])
+def test_a_campaign_of_which_most_draws_are_refused_ends_at_the_same_draw(tmp_path: Path, size: int) -> None:
+    """At the first of at least 20 draws of which more than half are refused, by the closed form of a body."""
+    for stream in range(50):
+        plan = load_plan(file_of(vary=OFTEN, runs=400)).changed(stream=stream, chunk_size=size)
+        body = is_a_body(plan.drawing().numbers(0, 400))
+        refused = np.cumsum(~body)
+        most = 2 * refused > np.arange(1, 401)
+        if body[0] and not most[19] and most[19:].any():
+            break
+    drawn = 20 + int(np.argmax(most[19:]))
+    message = (
+        rf"^vary: expected distributions of which most draws are valid scenarios, got {refused[drawn - 1]} of the first "
+        rf"{drawn} that are none; the first of these: run {int(np.argmin(body))}: robot.inertia: expected .*{REMEDY}$"
+    )
+    for _ in range(2):  # of the chunks that are kept, too
+        with pytest.raises(hs.ScenarioError, match=message):
+            hs.campaign(plan, tmp_path / "out", threads=1)
+
+
+def test_more_runs_are_added_where_draws_are_refused(tmp_path: Path) -> None:
+    """The last chunk becomes longer; the table is that of a campaign that began with as many."""
+    plan = with_valid_runs(1)
+    for runs in (10, 40):
+        result = hs.campaign(plan.changed(runs=runs, chunk_size=8), tmp_path / "more", threads=1)
+    whole = hs.campaign(plan.changed(runs=40, chunk_size=8), tmp_path / "whole", threads=2)
+    assert result.to_dataframe().equals(whole.to_dataframe())
+    assert result.summary["refused"] == whole.summary["refused"] > 0
+    refused = int(np.setdiff1d(np.arange(40), whole.to_dataframe()["index"])[0])
+    with pytest.raises(hs.ScenarioError, match=r"^robot.inertia: expected principal"):
+        whole.scenario(refused)
+    index = int(whole.to_dataframe()["index"].iloc[-1])
+    assert index >= len(whole) > refused
+    whole.scenario(index)  # by the index of its draw
+
+
 @pytest.mark.parametrize("remedy", ["one depth", "no displacement", "narrow"])
 def test_the_remedies_for_depth_errors_of_displaced_targets_help(tmp_path: Path, remedy: str) -> None:
     depth = {

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hexservo.campaigns.refused import FEW_DRAWS, MOST_REFUSED
 from hexservo.campaigns.requirements import COMPLETED, Requirement, ranks_of, run_margins
 from hexservo.run.batch import BatchResult
 from hexservo.run.sealed import ResultError
@@ -86,6 +87,8 @@ class Tally:
     spans: list[tuple[float, float]] = field(default_factory=list)  # by requirement: `_span_of` its metric
     refused: int = 0  # draws that are no valid scenario, and no runs
     first_refused: int | None = None  # index of the first of these
+    refused_at: list[int] = field(default_factory=list)  # indices of a chunk; `add` keeps none, of millions of draws
+    mostly_refused: tuple[int, int] | None = None  # how many of how many first draws, where that first is most of them
 
     def __post_init__(self) -> None:
         """Begin with the spans of no runs."""
@@ -97,7 +100,8 @@ class Tally:
         return self.runs + self.refused
 
     def add(self, other: Tally) -> None:
-        """Add the counts of other runs."""
+        """Add the counts of the runs that follow."""
+        self.mostly_refused = self.mostly_refused or _mostly(self.refused, other.refused_at)
         self.failed = [one + more for one, more in zip(self.failed, other.failed, strict=True)]
         self.runs += other.runs
         self.failures += other.failures
@@ -111,6 +115,25 @@ class Tally:
         self.worst = sorted(self.worst + other.worst)[:_WORST]
         pairs = zip(self.spans, other.spans, strict=True)
         self.spans = [(min(one[0], more[0]), max(one[1], more[1])) for one, more in pairs]
+
+
+def _mostly(before: int, refused_at: Sequence[int]) -> tuple[int, int] | None:
+    """Return how many draws are refused of how many, where these first are most of at least `FEW_DRAWS`; None: nowhere.
+
+    It looks at each draw by its index, so that the answer is that of any division into chunks.
+
+    Parameters
+    ----------
+    before
+        Draws of earlier chunks that are refused.
+    refused_at
+        Indices of those of this chunk.
+    """
+    for refused, index in enumerate(refused_at, before + 1):
+        drawn = max(index + 1, FEW_DRAWS)
+        if refused > MOST_REFUSED * drawn:
+            return refused, drawn
+    return None
 
 
 def tally_of(table: pa.Table, drawn: range, requirements: Sequence[Requirement], duration: float) -> Tally:
@@ -146,6 +169,7 @@ def tally_of(table: pa.Table, drawn: range, requirements: Sequence[Requirement],
         unmoved=int((completed & (settled == 0.0)).sum()),
         refused=len(refused),
         first_refused=int(refused[0]) if len(refused) else None,
+        refused_at=refused.tolist(),
         valueless=Counter(valueless),
         outcomes=Counter(outcome.tolist()),
         worst=[(float(ranks[place, 0]), float(ranks[place, 1]), int(columns["index"][place])) for place in worst],

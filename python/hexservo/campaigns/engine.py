@@ -16,7 +16,7 @@ from typing import Any, TypeAlias
 from hexservo.campaigns.chunks import Tally
 from hexservo.campaigns.engines import Chunk, Engine, engine_of
 from hexservo.campaigns.intervals import runs_for_bound
-from hexservo.campaigns.plan import FEW_DRAWS, MOST_REFUSED, CampaignPlan, load_plan
+from hexservo.campaigns.plan import CampaignPlan, load_plan
 from hexservo.campaigns.result import CampaignResult, is_complete, refusal, scenario_of_run, summary_of
 from hexservo.campaigns.store import WORST, ShorterChunkError, Store, UnreadableError, new_record
 from hexservo.run.progress import ProgressCallback, Report, reported
@@ -189,10 +189,15 @@ class _State:
 
     def _require_valid_draws(self) -> None:
         """Refuse distributions of which most draws are no valid scenario."""
-        tally = self.tally
-        if tally.drawn >= FEW_DRAWS and tally.refused > MOST_REFUSED * tally.drawn:
-            first = refusal(self.plan, tally)
-            raise ScenarioError([f"{tally.refused} of {tally.drawn} draws are no valid scenario; the first: {first}"])
+        if self.tally.mostly_refused is not None:
+            refused, drawn = self.tally.mostly_refused
+            first = refusal(self.plan, self.tally)
+            raise ScenarioError(
+                [
+                    f"vary: expected distributions of which most draws are valid scenarios, got {refused} of the first "
+                    f"{drawn} that are none; the first of these: {first}"
+                ]
+            )
 
     def missing(self) -> Iterator[int]:
         """Yield the indices of the chunks that are to be computed, in order."""
@@ -307,5 +312,6 @@ def _planned(state: _State) -> int | None:
     if until is None or until.kind != "probability_below":
         return plan.runs
     needed = runs_for_bound(until.value, state.tally.failures, plan.confidence, plan.mixture)
+    needed += state.tally.refused
     needed = -(-needed // plan.chunk_size) * plan.chunk_size
     return needed if plan.runs is None else min(needed, plan.runs)

@@ -114,16 +114,15 @@ def compute_chunk(
     numbers, metrics = store.drawing.numbers(first, last), plan.kept_metrics()
     indices = np.arange(first, last, dtype=np.int64)
     batch = None
-    try:
-        batch = simulate_batch(store.base, store.drawing.variations(numbers), "metrics", threads, look, metrics=metrics)
-    except ValueError as error:
-        if refused_scenario(error) is None:
-            raise
-        kept = valid_rows(store.base, store.drawing.variations(numbers), len(indices))
-        numbers, indices = {key: values[kept] for key, values in numbers.items()}, indices[kept]
-        if len(indices):
-            varied = store.drawing.variations(numbers)
+    while batch is None and len(indices):
+        varied = store.drawing.variations(numbers)
+        try:
             batch = simulate_batch(store.base, varied, "metrics", threads, look, metrics=metrics)
+        except ValueError as error:
+            if refused_scenario(error) is None:
+                raise
+            kept = valid_rows(store.base, varied, len(indices), look=look)  # without the one that the error names
+            numbers, indices = {key: values[kept] for key, values in numbers.items()}, indices[kept]
     table = chunk_table(batch, numbers, indices, plan.require, metrics)
     return chunk_bytes(table, store.identity(index)), store.tally(index, table)
 

@@ -32,7 +32,7 @@ from hexservo.campaigns.file_keys import (
 )
 from hexservo.campaigns.intervals import JEFFREYS, RARE, Mixture, anytime_interval
 from hexservo.campaigns.loop_numbers import without_loop
-from hexservo.campaigns.refused import refused_draw, refused_scenario, valid_rows
+from hexservo.campaigns.refused import FEW_DRAWS, MOST_REFUSED, refused_draw, refused_scenario, valid_rows
 from hexservo.campaigns.requirements import Requirement
 from hexservo.campaigns.tune_keys import TunePlan, TuneRule
 from hexservo.campaigns.unfit import unfit, unfit_variable
@@ -51,8 +51,6 @@ from hexservo.scenario.yaml import ScenarioError, dump_yaml, read_yaml
 
 MAX_RUNS = 10**12
 CHUNK_SIZE = 5000
-FEW_DRAWS = 20  # of which no share is known
-MOST_REFUSED = 0.5  # share of draws that are no valid scenarios: above it the file is in error
 MOST_LOG_EVERY = 10**9  # that a scenario may have
 _DURATION, _DWELL = "simulation.duration", "metrics.dwell"
 _OF_TIMES = {"rms_error": "metrics.rms_start", "settling_time": _DWELL}  # metrics of runs that are long enough

@@ -119,7 +119,7 @@ def verdict_sentences(summary: dict[str, Any]) -> list[str]:
     if summary["clopper_pearson"] is not None:
         low, high = summary["clopper_pearson"]
         sentences.append(
-            f"The number of runs was fixed before the first one. For that case alone, the interval of Clopper and "
+            f"The number of {'draws' if summary.get('refused') else 'runs'} was fixed before the first one. For that case alone, the interval of Clopper and "
             f"Pearson is {below(low)} to {above(high)}."
         )
     sentences += [_valueless(name, count, runs) for name, count in summary["without_value"].items()]
@@ -127,7 +127,8 @@ def verdict_sentences(summary: dict[str, Any]) -> list[str]:
     if not summary["complete"]:
         planned = summary["planned_runs"]
         of = "" if planned is None else f" of {planned} runs"
-        sentences.append(f"The campaign is not complete: {runs}{of} are kept.")
+        drawn = runs + summary.get("refused", 0)
+        sentences.append(f"The campaign is not complete: {drawn}{of} are kept.")
     return sentences
 
 
@@ -136,8 +137,8 @@ def _refused(summary: dict[str, Any]) -> str:
     count, drawn = summary["refused"], summary["runs"] + summary["refused"]
     are, were = ("is", "was") if count == 1 else ("are", "were")
     return (
-        f"{count} of {drawn} draws {are} no valid scenario and {were} left out: the failure probability is that of the "
-        f"others. The first: {summary['refusal']}."
+        f"{count} of {drawn} draws {are} no valid scenario and {were} left out: interval and failure probability are "
+        f"those of the draws that are valid scenarios, not of all that vary draws. The first: {summary['refusal']}."
     )
 
 
