@@ -118,8 +118,9 @@ def verdict_sentences(summary: dict[str, Any]) -> list[str]:
         sentences.append(until)
     if summary["clopper_pearson"] is not None:
         low, high = summary["clopper_pearson"]
+        drawn = "draws" if summary.get("refused") else "runs"
         sentences.append(
-            f"The number of {'draws' if summary.get('refused') else 'runs'} was fixed before the first one. For that case alone, the interval of Clopper and "
+            f"The number of {drawn} was fixed before the first one. For that case alone, the interval of Clopper and "
             f"Pearson is {below(low)} to {above(high)}."
         )
     sentences += [_valueless(name, count, runs) for name, count in summary["without_value"].items()]
@@ -127,8 +128,8 @@ def verdict_sentences(summary: dict[str, Any]) -> list[str]:
     if not summary["complete"]:
         planned = summary["planned_runs"]
         of = "" if planned is None else f" of {planned} runs"
-        drawn = runs + summary.get("refused", 0)
-        sentences.append(f"The campaign is not complete: {drawn}{of} are kept.")
+        kept = runs + summary.get("refused", 0)
+        sentences.append(f"The campaign is not complete: {kept}{of} are kept.")
     return sentences
 
 
