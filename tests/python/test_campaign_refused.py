@@ -217,7 +217,8 @@ def test_a_campaign_of_which_most_draws_are_refused_ends_at_the_same_draw(tmp_pa
     drawn = 20 + int(np.argmax(most[19:]))
     message = (
         rf"^vary: expected distributions of which most draws are valid scenarios, got {refused[drawn - 1]} of the "
-        rf"first {drawn} that are none; the first of these: run {int(np.argmin(body))}: robot.inertia: expected .*{REMEDY}$"
+        rf"first {drawn} that are none; the first of these: run {int(np.argmin(body))}: robot.inertia: expected "
+        rf".*{REMEDY}$"
     )
     for _ in range(2):  # of the chunks that are kept, too
         with pytest.raises(hs.ScenarioError, match=message):
