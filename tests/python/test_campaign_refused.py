@@ -137,10 +137,13 @@ def test_an_estimate_refuses_a_draw_with_its_numbers(estimate: str) -> None:
     assert not is_a_body({"robot.inertia": np.array([drawn], dtype=float)}).any()
 
 
-def test_the_first_run_is_refused_as_any_other() -> None:
-    refused = next(stream for stream in range(50) if not is_valid(stream, {}, 1))
+def test_distributions_of_which_most_draws_are_no_valid_scenario_are_refused() -> None:
+    most = {"robot.inertia": {"uniform": [-1.9e-4, 1e-3], "add": True, "each": True}}
+    numbers = [load_plan(file_of()).changed(stream=stream).drawing().numbers(0, 1) for stream in range(9)]
+    assert not all(is_a_body(one).all() for one in numbers), "run 0 of some is none"
+    refused = next(stream for stream in range(50) if not is_valid(stream, {"vary": most}, 1))
     with pytest.raises(hs.ScenarioError, match=r"^vary: run 0: robot.inertia: expected principal moments") as one:
-        load_plan(file_of(stream=refused))
+        load_plan(file_of(vary=most, stream=refused))
     assert str(one.value).endswith(REMEDY)
 
 
@@ -163,9 +166,9 @@ DEFORMED = r"depth errors of each point deform a target .*: use one depth error 
 
 def test_depth_errors_of_each_point_of_a_displaced_target_are_named(tmp_path: Path) -> None:
     file = displaced(**{"uncertainty.depth": EACH}) | {"stream": 1}  # whose first run is valid
-    with pytest.raises(hs.ScenarioError, match=r"^run \d+ \(.*\): target.desired_features: .*" + DEFORMED) as one:
-        hs.campaign(file, tmp_path / "out", threads=1)
-    message = str(one.value)
+    result = hs.campaign(file, tmp_path / "out", threads=1)
+    message = result.summary["refusal"]
+    assert re.match(r"run \d+ \(.*\): target.desired_features: .*" + DEFORMED, message)
     run = int(re.findall(r"^run (\d+)", message)[0])
     for key, values in load_plan(file).drawing().numbers(run, run + 1).items():
         shown = [float(number) for number in re.findall(rf"{re.escape(key)}\[\d\] ([\d.e-]+)[,)]", message)]
@@ -173,6 +176,69 @@ def test_depth_errors_of_each_point_of_a_displaced_target_are_named(tmp_path: Pa
     with pytest.raises(hs.ScenarioError, match=r"^the draw of uncertainty.depth\[0\] .*" + DEFORMED) as one:
         hs.sensitivity(load_plan(file), samples=64, threads=1)
     assert str(one.value).count("uncertainty.depth[0]") == 1
+
+
+def test_a_campaign_leaves_out_what_is_no_valid_scenario(tmp_path: Path) -> None:
+    """By the index of each draw, at any division into chunks; the interval is that of the valid ones."""
+    plan = with_valid_runs(1).changed(runs=40)
+    body = is_a_body({"robot.inertia": plan.drawing().numbers(0, 40)["robot.inertia"]})
+    assert 20 < body.sum() < 40
+    found = []
+    for size in (3, 40):
+        result = hs.campaign(plan.changed(chunk_size=size), tmp_path / str(size), threads=1)
+        assert result.complete
+        assert result.to_dataframe()["index"].tolist() == np.flatnonzero(body).tolist()
+        assert (len(result), result.summary["refused"]) == (body.sum(), 40 - body.sum())
+        assert result.interval == plan.interval(0, int(body.sum()))
+        assert result.summary["refusal"].startswith(f"run {int(np.argmin(body))}: robot.inertia: expected principal")
+        assert result.section().verdict == "warning"
+        sentence = f"{40 - body.sum()} of 40 draws are no valid scenario and were left out"
+        assert any(one.startswith(sentence) for one in result.section().sentences)
+        (result.folder / "summary.json").unlink()  # counted again, of the chunks
+        assert hs.load_campaign(result.folder).summary == result.summary
+        found.append(result.to_dataframe())
+    assert found[0].equals(found[1])
+
+
+# 42 % of these are no body: those with one large moment, 3 (1/4) (3/4)^2 of them.
+OFTEN = {"robot.inertia": {"choice": [1e-4, 1e-4, 1e-4, 4e-4], "each": True}}
+
+
+@pytest.mark.parametrize("size", [1, 7, 25, 400])
+def test_a_campaign_of_which_most_draws_are_refused_ends_at_the_same_draw(tmp_path: Path, size: int) -> None:
+    """At the first of at least 20 draws of which more than half are refused, by the closed form of a body."""
+    for stream in range(50):
+        plan = load_plan(file_of(vary=OFTEN, runs=400)).changed(stream=stream, chunk_size=size)
+        body = is_a_body(plan.drawing().numbers(0, 400))
+        refused = np.cumsum(~body)
+        most = 2 * refused > np.arange(1, 401)
+        if body[0] and not most[19] and most[19:].any():
+            break
+    drawn = 20 + int(np.argmax(most[19:]))
+    message = (
+        rf"^vary: expected distributions of which most draws are valid scenarios, got {refused[drawn - 1]} of the "
+        rf"first {drawn} that are none; the first of these: run {int(np.argmin(body))}: robot.inertia: expected "
+        rf".*{REMEDY}$"
+    )
+    for _ in range(2):  # of the chunks that are kept, too
+        with pytest.raises(hs.ScenarioError, match=message):
+            hs.campaign(plan, tmp_path / "out", threads=1)
+
+
+def test_more_runs_are_added_where_draws_are_refused(tmp_path: Path) -> None:
+    """The last chunk becomes longer; the table is that of a campaign that began with as many."""
+    plan = with_valid_runs(1)
+    for runs in (10, 40):
+        result = hs.campaign(plan.changed(runs=runs, chunk_size=8), tmp_path / "more", threads=1)
+    whole = hs.campaign(plan.changed(runs=40, chunk_size=8), tmp_path / "whole", threads=2)
+    assert result.to_dataframe().equals(whole.to_dataframe())
+    assert result.summary["refused"] == whole.summary["refused"] > 0
+    refused = int(np.setdiff1d(np.arange(40), whole.to_dataframe()["index"])[0])
+    with pytest.raises(hs.ScenarioError, match=r"^robot.inertia: expected principal"):
+        whole.scenario(refused)
+    index = int(whole.to_dataframe()["index"].iloc[-1])
+    assert index >= len(whole) > refused
+    whole.scenario(index)  # by the index of its draw
 
 
 @pytest.mark.parametrize("remedy", ["one depth", "no displacement", "narrow"])

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hexservo.campaigns.refused import FEW_DRAWS, MOST_REFUSED
 from hexservo.campaigns.requirements import COMPLETED, Requirement, ranks_of, run_margins
 from hexservo.run.batch import BatchResult
 from hexservo.run.sealed import ResultError
@@ -35,24 +36,31 @@ _LARGEST = 1e100  # size of a value in a span: JSON has no infinity
 
 
 def chunk_table(
-    batch: BatchResult, numbers: Mapping[str, NDArray[Any]], first: int, requirements: Sequence[Requirement]
+    batch: BatchResult | None,
+    numbers: Mapping[str, NDArray[Any]],
+    indices: NDArray[np.int64],
+    requirements: Sequence[Requirement],
+    metrics: Sequence[str],
 ) -> pa.Table:
-    """Return the runs of a batch as a table, with what was drawn for them; `first` is the index of the first one.
+    """Return the runs of a batch as a table, with what was drawn for them, their indices, and these metrics.
+
+    None is a batch without runs: a table without rows.
 
     Columns: ``index``; what varies, by dotted key, entries of arrays as ``controller.hybrid.kv[0]``; ``outcome``,
     ``end_time`` [s], every metric in its unit (`hs.METRICS`), and ``margin``, the smallest one of the requirements.
     """
     import pyarrow as pa
 
+    none = np.empty(0)
     varied = {name: column for key, values in numbers.items() for name, column in columns_of(key, values).items()}
     return pa.table(
         {
-            "index": np.arange(first, first + len(batch), dtype=np.int64),
+            "index": indices,
             **varied,
-            "outcome": pa.array(batch.outcome.tolist(), pa.string()),
-            "end_time": batch.end_time,
-            **batch.metrics,
-            "margin": batch_margins(batch, numbers, requirements).min(axis=1),
+            "outcome": pa.array([] if batch is None else batch.outcome.tolist(), pa.string()),
+            "end_time": none if batch is None else batch.end_time,
+            **(dict.fromkeys(metrics, none) if batch is None else batch.metrics),
+            "margin": none if batch is None else batch_margins(batch, numbers, requirements).min(axis=1),
         }
     )
 
@@ -77,16 +85,30 @@ class Tally:
     outcomes: Counter[str] = field(default_factory=Counter)
     worst: list[tuple[float, float, int]] = field(default_factory=list)  # `ranks_of` and index, the worst first
     spans: list[tuple[float, float]] = field(default_factory=list)  # by requirement: `_span_of` its metric
+    refused: int = 0  # draws that are no valid scenario, and no runs
+    first_refused: int | None = None  # index of the first of these
+    refused_at: list[int] = field(default_factory=list)  # indices of a chunk; `add` keeps none, of millions of draws
+    mostly_refused: tuple[int, int] | None = None  # how many of how many first draws, where that first is most of them
 
     def __post_init__(self) -> None:
         """Begin with the spans of no runs."""
         self.spans = self.spans or [_NO_SPAN] * len(self.failed)
 
+    @property
+    def drawn(self) -> int:
+        """Number of draws: runs, and what is no valid scenario."""
+        return self.runs + self.refused
+
     def add(self, other: Tally) -> None:
-        """Add the counts of other runs."""
+        """Add the counts of the runs that follow."""
+        self.mostly_refused = self.mostly_refused or _mostly(self.refused, other.refused_at)
         self.failed = [one + more for one, more in zip(self.failed, other.failed, strict=True)]
         self.runs += other.runs
         self.failures += other.failures
+        self.refused += other.refused
+        self.first_refused = min(
+            [one for one in (self.first_refused, other.first_refused) if one is not None], default=None
+        )
         self.unmoved += other.unmoved
         self.valueless.update(other.valueless)
         self.outcomes.update(other.outcomes)
@@ -95,10 +117,41 @@ class Tally:
         self.spans = [(min(one[0], more[0]), max(one[1], more[1])) for one, more in pairs]
 
 
-def tally_of(table: pa.Table, requirements: Sequence[Requirement], duration: float) -> Tally:
-    """Count the runs of a chunk; `duration` is that of the scenario [s], where it does not vary."""
+def _mostly(before: int, refused_at: Sequence[int]) -> tuple[int, int] | None:
+    """Return how many draws are refused of how many, where these first are most of at least `FEW_DRAWS`; None: nowhere.
+
+    It looks at each draw by its index, so that the answer is that of any division into chunks.
+
+    Parameters
+    ----------
+    before
+        Draws of earlier chunks that are refused.
+    refused_at
+        Indices of those of this chunk.
+    """
+    for refused, index in enumerate(refused_at, before + 1):
+        drawn = max(index + 1, FEW_DRAWS)
+        if refused > MOST_REFUSED * drawn:
+            return refused, drawn
+    return None
+
+
+def tally_of(table: pa.Table, drawn: range, requirements: Sequence[Requirement], duration: float) -> Tally:
+    """Count the runs of a chunk.
+
+    Parameters
+    ----------
+    table
+        Of the runs.
+    drawn
+        Indices of all that were drawn: those that the table lacks are no valid scenarios.
+    requirements
+        That they are to keep.
+    duration
+        Of the scenario [s], where it does not vary.
+    """
     columns = {name: _column(table, name) for name in ("index", "end_time")}
-    outcome = np.array(table.column("outcome").to_pylist())
+    outcome = np.array(table.column("outcome").to_pylist(), dtype=np.str_)
     metrics = {one.name: _column(table, one.name) for one in requirements if one.name != "outcome"}
     times = _column(table, "simulation.duration") if "simulation.duration" in table.column_names else duration
     margins = run_margins(requirements, outcome, columns["end_time"], times, metrics)
@@ -107,12 +160,16 @@ def tally_of(table: pa.Table, requirements: Sequence[Requirement], duration: flo
     valueless = {name: int((np.isnan(values) & completed).sum()) for name, values in metrics.items()}
     settled = _column(table, "settling_time") if "settling_time" in table.column_names else np.array(np.nan)
     ranks = ranks_of(margins)
+    refused = np.setdiff1d(np.arange(drawn.start, drawn.stop), columns["index"])
     worst = np.lexsort((ranks[:, 1], ranks[:, 0]))[:_WORST]
     return Tally(
         failed=[int(count) for count in failed.sum(axis=0)],
         runs=len(outcome),
         failures=int(failed.any(axis=1).sum()),
         unmoved=int((completed & (settled == 0.0)).sum()),
+        refused=len(refused),
+        first_refused=int(refused[0]) if len(refused) else None,
+        refused_at=refused.tolist(),
         valueless=Counter(valueless),
         outcomes=Counter(outcome.tolist()),
         worst=[(float(ranks[place, 0]), float(ranks[place, 1]), int(columns["index"][place])) for place in worst],

@@ -13,16 +13,17 @@ from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
 from types import FrameType
 from typing import Any, TypeAlias
 
-from hexservo.campaigns.chunks import Tally, tally_of
+from hexservo.campaigns.chunks import Tally
 from hexservo.campaigns.engines import Chunk, Engine, engine_of
 from hexservo.campaigns.intervals import runs_for_bound
 from hexservo.campaigns.plan import CampaignPlan, load_plan
-from hexservo.campaigns.result import CampaignResult, is_complete, scenario_of_run, summary_of
+from hexservo.campaigns.result import CampaignResult, is_complete, refusal, scenario_of_run, summary_of
 from hexservo.campaigns.store import WORST, ShorterChunkError, Store, UnreadableError, new_record
 from hexservo.run.progress import ProgressCallback, Report, reported
 from hexservo.run.publish import OutputError, named
 from hexservo.run.sealed import ResultError
 from hexservo.scenario.wording import above, number, wrong_type
+from hexservo.scenario.yaml import ScenarioError
 
 _SUMMARISED = 5.0  # [s], between two summaries while a campaign runs
 _WATCHED = 0.1  # [s], between two looks at what is computed
@@ -86,7 +87,7 @@ def campaign(
     ValueError
         For an engine that does not exist, or `store_on_workers` without a cluster.
     ScenarioError
-        The campaign is not valid, or a run draws a scenario that is not ("run 17: key: expected ..., got ...").
+        The campaign is not valid, or most of its draws are no valid scenarios; fewer are left out, and counted.
     OutputError
         The folder holds something else or a different campaign, is in use, or cannot be written (a `ValueError`); what
         is whole stays. Dask is not installed, or its scheduler does not answer or has ended.
@@ -157,8 +158,8 @@ class _State:
 
     @property
     def kept(self) -> int:
-        """Runs that are kept."""
-        return self.tally.runs + sum(tally.runs for tally in self.waiting.values())
+        """Runs that are kept, with the draws that are none."""
+        return self.tally.drawn + sum(tally.drawn for tally in self.waiting.values())
 
     def take_up(self, asked: threading.Event) -> None:
         """Count the chunks that are there; damaged ones are set aside."""
@@ -175,7 +176,7 @@ class _State:
                 aside = self.store.set_aside(index)
                 self.warn(f"{error}; it is now {named(aside)}, and its runs are computed again")
                 continue
-            self.enter(index, tally_of(table, self.plan.require, self.plan.scenario.simulation.duration))
+            self.enter(index, self.store.tally(index, table))
 
     def enter(self, index: int, tally: Tally) -> None:
         """Count a chunk that is kept; the interval decides on chunks in their order alone."""
@@ -183,7 +184,20 @@ class _State:
         while not self.complete and self.counted in self.waiting:
             self.tally.add(self.waiting.pop(self.counted))
             self.counted += 1
+            self._require_valid_draws()
             self.complete = is_complete(self.plan, self.tally)
+
+    def _require_valid_draws(self) -> None:
+        """Refuse distributions of which most draws are no valid scenario."""
+        if self.tally.mostly_refused is not None:
+            refused, drawn = self.tally.mostly_refused
+            first = refusal(self.plan, self.tally)
+            raise ScenarioError(
+                [
+                    f"vary: expected distributions of which most draws are valid scenarios, got {refused} of the first "
+                    f"{drawn} that are none; the first of these: {first}"
+                ]
+            )
 
     def missing(self) -> Iterator[int]:
         """Yield the indices of the chunks that are to be computed, in order."""
@@ -298,5 +312,6 @@ def _planned(state: _State) -> int | None:
     if until is None or until.kind != "probability_below":
         return plan.runs
     needed = runs_for_bound(until.value, state.tally.failures, plan.confidence, plan.mixture)
+    needed += state.tally.refused
     needed = -(-needed // plan.chunk_size) * plan.chunk_size
     return needed if plan.runs is None else min(needed, plan.runs)

@@ -13,9 +13,11 @@ from functools import lru_cache
 from types import FrameType
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from hexservo.campaigns.chunks import Tally, chunk_bytes, chunk_table, tally_of
+import numpy as np
+
+from hexservo.campaigns.chunks import Tally, chunk_bytes, chunk_table
 from hexservo.campaigns.plan import CampaignPlan
-from hexservo.campaigns.refused import refused_draw
+from hexservo.campaigns.refused import refused_scenario, valid_rows
 from hexservo.campaigns.store import Store, new_record
 from hexservo.run.batch import simulate_batch, thread_count
 from hexservo.run.publish import OutputError
@@ -105,22 +107,24 @@ def compute_chunk(
 ) -> Chunk:
     """Compute a chunk from its index: its file and its counts.
 
-    Raises
-    ------
-    ScenarioError
-        A run draws a scenario that is not valid: the message names the run.
+    Draws that are no valid scenario are left out of both.
     """
     plan = store.plan
     first, last = plan.runs_of_chunk(index)
-    numbers = store.drawing.numbers(first, last)
-    try:
-        batch = simulate_batch(
-            store.base, store.drawing.variations(numbers), "metrics", threads, look, metrics=plan.kept_metrics()
-        )
-    except ValueError as error:
-        raise refused_draw(error, store.base, numbers, lambda place: f"run {first + place}") from None
-    table = chunk_table(batch, numbers, first, plan.require)
-    return chunk_bytes(table, store.identity(index)), tally_of(table, plan.require, plan.scenario.simulation.duration)
+    numbers, metrics = store.drawing.numbers(first, last), plan.kept_metrics()
+    indices = np.arange(first, last, dtype=np.int64)
+    batch = None
+    while batch is None and len(indices):
+        varied = store.drawing.variations(numbers)
+        try:
+            batch = simulate_batch(store.base, varied, "metrics", threads, look, metrics=metrics)
+        except ValueError as error:
+            if refused_scenario(error) is None:
+                raise
+            kept = valid_rows(store.base, varied, len(indices), look=look)  # without the one that the error names
+            numbers, indices = {key: values[kept] for key, values in numbers.items()}, indices[kept]
+    table = chunk_table(batch, numbers, indices, plan.require, metrics)
+    return chunk_bytes(table, store.identity(index)), store.tally(index, table)
 
 
 def compute_remotely(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hexservo.campaigns.chunks import batch_margins
 from hexservo.campaigns.plan import CampaignPlan
-from hexservo.campaigns.refused import REMEDY, refused_draw, refused_scenario, shown_numbers
+from hexservo.campaigns.refused import REMEDY, refused_draw, refused_scenario, rows_of, shown_numbers
 from hexservo.run.batch import BatchResult, simulate_batch, whole
 from hexservo.scenario.arrays import Array
 
@@ -74,9 +74,9 @@ class Judge:
         varied = self._varied(numbers, gains)
         kept = np.arange(max(map(len, varied.values())))
         while len(kept):
-            found = self._batch_or_refused(_rows(varied, kept))
+            found = self._batch_or_refused(rows_of(varied, kept))
             if isinstance(found, BatchResult):
-                return kept, batch_margins(found, _rows(numbers, kept), self.plan.require), found
+                return kept, batch_margins(found, rows_of(numbers, kept), self.plan.require), found
             kept = np.delete(kept, found)
         return kept, np.empty((0, len(self.plan.require))), None
 
@@ -106,11 +106,6 @@ class Judge:
         """Return the smallest margin of each run, (n,); argument and errors as for `judged`."""
         smallest: Array = self.judged(numbers)[0].min(axis=1)
         return smallest
-
-
-def _rows(arrays: Mapping[str, NDArray[Any]], kept: NDArray[np.intp]) -> dict[str, NDArray[Any]]:
-    """Return some rows of arrays; one of length 1 holds for all."""
-    return {key: values if len(values) == 1 else values[kept] for key, values in arrays.items()}
 
 
 def _draw(numbers: Mapping[str, NDArray[Any]], row: int) -> str:

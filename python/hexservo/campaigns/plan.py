@@ -32,7 +32,7 @@ from hexservo.campaigns.file_keys import (
 )
 from hexservo.campaigns.intervals import JEFFREYS, RARE, Mixture, anytime_interval
 from hexservo.campaigns.loop_numbers import without_loop
-from hexservo.campaigns.refused import refused_draw, refused_scenario
+from hexservo.campaigns.refused import FEW_DRAWS, MOST_REFUSED, refused_draw, refused_scenario, valid_rows
 from hexservo.campaigns.requirements import Requirement
 from hexservo.campaigns.tune_keys import TunePlan, TuneRule
 from hexservo.campaigns.unfit import unfit, unfit_variable
@@ -131,15 +131,17 @@ class CampaignPlan(Block):
         if self.tune is not None and self.tune.corners and not 1 <= drawing.dimension <= _MOST_CORNERS:
             got = f"{drawing.dimension} numbers that vary, which have 2^{drawing.dimension} corners"
             raise refusal((("tune", "over"), f"corners: expected 1 to {_MOST_CORNERS} numbers that vary, got {got}"))
-        numbers = drawing.numbers(0, 1)
+        numbers = drawing.numbers(0, FEW_DRAWS)
         try:
             # of a run too, whose samples would not fit a log: a campaign keeps none
             base = self.scenario.updated({**drawing.base, "simulation.log_every": MOST_LOG_EVERY})
-            checked_variations(base, drawing.variations(numbers))
+            checked_variations(base, drawing.variations(drawing.numbers(0, 1)))
         except ValueError as error:
-            of_run = refused_scenario(error) is not None
-            drawn = refused_draw(error, self.scenario, numbers, lambda place: f"run {place}") if of_run else error
-            raise refusal(*((("vary",), line) for line in str(drawn).splitlines())) from None
+            if refused_scenario(error) is None:
+                raise refusal(*((("vary",), line) for line in str(error).splitlines())) from None
+            if len(valid_rows(base, drawing.variations(numbers), FEW_DRAWS)) < (1.0 - MOST_REFUSED) * FEW_DRAWS:
+                drawn = refused_draw(error, self.scenario, numbers, lambda place: f"run {place}")
+                raise refusal(*((("vary",), line) for line in str(drawn).splitlines())) from None
         return self
 
     def required_metrics(self) -> tuple[str, ...]:

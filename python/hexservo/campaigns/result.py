@@ -9,9 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hexservo.campaigns.chunks import Tally, tally_of
+from hexservo.campaigns.chunks import Tally
 from hexservo.campaigns.intervals import clopper_pearson, joint_confidence
 from hexservo.campaigns.plan import MOST_LOG_EVERY, CampaignPlan
+from hexservo.campaigns.refused import refused_draw, valid_rows
 from hexservo.campaigns.requirements import Requirement
 from hexservo.campaigns.store import Store, UnreadableError, read_plan
 from hexservo.campaigns.words import summary_section
@@ -110,7 +111,8 @@ class CampaignResult(Findings):
         while left > 0:
             table = store.read(index)[:left]  # a folder may have more runs by now
             left, index = left - len(table), index + 1
-            yield table if names is None else _selected(table, names)
+            if len(table):  # else no draw of the chunk is a valid scenario
+                yield table if names is None else _selected(table, names)
 
     def to_arrow(self, columns: Sequence[str] | None = None) -> pa.Table:
         """Return the runs as one table in memory, ordered by index; arguments and errors as for `tables`.
@@ -144,6 +146,8 @@ class CampaignResult(Findings):
         ------
         IndexError
             There is no such run.
+        ScenarioError
+            What was drawn for it is no valid scenario, and was left out of the campaign.
         TypeError
             For anything but an integer.
         """
@@ -179,8 +183,9 @@ class CampaignResult(Findings):
 
     def _checked(self, index: int) -> int:
         index = whole_number("index", index, -sys.maxsize)
-        if not 0 <= index < len(self):
-            raise IndexError(f"index: expected one from 0 to {len(self) - 1}, got {index}")
+        drawn = len(self) + self.summary.get("refused", 0)
+        if not 0 <= index < drawn:
+            raise IndexError(f"index: expected one from 0 to {drawn - 1}, got {index}")
         return index
 
 
@@ -210,7 +215,7 @@ def load_campaign(folder: str | os.PathLike[str]) -> CampaignResult:
             raise
         except ResultError:
             break
-        tally.add(tally_of(table, plan.require, plan.scenario.simulation.duration))
+        tally.add(store.tally(index, table))
         index += 1
     return CampaignResult(store.folder, plan, summary_of(plan, record, tally))
 
@@ -270,7 +275,7 @@ def _written(value: Any) -> str:
 def summary_of(plan: CampaignPlan, record: dict[str, Any], tally: Tally) -> dict[str, Any]:
     """Return what summary.json holds: counts, intervals and the worst runs (docs/campaigns.md, section 4)."""
     interval = plan.interval(tally.failures, tally.runs)
-    fixed = record["fixed_runs"] is not None and tally.runs == record["fixed_runs"]
+    fixed = record["fixed_runs"] is not None and tally.drawn == record["fixed_runs"]
     return {
         "campaign": record["campaign"],
         "hexservo": record["hexservo"],
@@ -278,6 +283,8 @@ def summary_of(plan: CampaignPlan, record: dict[str, Any], tally: Tally) -> dict
         "scenario": plan.scenario.name,
         "common_noise": plan.common_noise,
         "runs": tally.runs,
+        "refused": tally.refused,
+        "refusal": refusal(plan, tally),
         "planned_runs": plan.runs,
         "until": None if plan.until is None else plan.until.to_plain(),
         "complete": is_complete(plan, tally),
@@ -312,9 +319,22 @@ def _values(plan: CampaignPlan, requirement: Requirement, span: tuple[float, flo
     return {"bound": requirement.bound, "unit": unit, "smallest": smallest, "largest": largest}
 
 
+def refusal(plan: CampaignPlan, tally: Tally) -> str:
+    """Return why the first draw that is no valid scenario is none, with its index; "" where all are."""
+    if tally.first_refused is None:
+        return ""
+    drawing, index = plan.drawing(), tally.first_refused
+    numbers, base = drawing.numbers(index, index + 1), plan.scenario.updated(drawing.base)
+    try:
+        valid_rows(base, drawing.variations(numbers), 1, required=True)
+    except ValueError as error:
+        return "; ".join(refused_draw(error, base, numbers, lambda place: f"run {index}").problems)
+    raise AssertionError  # it is valid
+
+
 def is_complete(plan: CampaignPlan, tally: Tally) -> bool:
     """Return whether there are all runs, or as many as the interval needs to decide."""
-    if tally.runs == plan.runs:
+    if tally.drawn == plan.runs:
         return True
     if plan.until is None or tally.runs == 0:
         return False

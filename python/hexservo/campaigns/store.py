@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hexservo.campaigns.chunks import unsealed_chunk
+from hexservo.campaigns.chunks import Tally, tally_of, unsealed_chunk
 from hexservo.campaigns.differing import differences, of_both
 from hexservo.campaigns.plan import CampaignPlan
 from hexservo.campaigns.writing import (
@@ -129,6 +129,12 @@ class Store:
                 f"got {found['first']} to {found['last'] - 1}"
             )
         return table
+
+    def tally(self, index: int, table: pa.Table) -> Tally:
+        """Return the counts of a chunk."""
+        return tally_of(
+            table, range(*self.plan.runs_of_chunk(index)), self.plan.require, self.plan.scenario.simulation.duration
+        )
 
     # ---- Writing ----------------------------------------------------------------------------------------------------
 

@@ -108,6 +108,8 @@ def verdict_sentences(summary: dict[str, Any]) -> list[str]:
         f"{counted}: the failure probability is between {below(low)} and {above(high)}, with a confidence of "
         f"{summary['confidence']} that holds at whatever number of runs one stops."
     ]
+    if summary.get("refused"):
+        sentences.append(_refused(summary))
     if summary["common_noise"] is not None:
         sentences.append(of_common_noise("the interval holds", summary["common_noise"]))
     if summary.get("settled_at_start"):
@@ -116,8 +118,9 @@ def verdict_sentences(summary: dict[str, Any]) -> list[str]:
         sentences.append(until)
     if summary["clopper_pearson"] is not None:
         low, high = summary["clopper_pearson"]
+        drawn = "draws" if summary.get("refused") else "runs"
         sentences.append(
-            f"The number of runs was fixed before the first one. For that case alone, the interval of Clopper and "
+            f"The number of {drawn} was fixed before the first one. For that case alone, the interval of Clopper and "
             f"Pearson is {below(low)} to {above(high)}."
         )
     sentences += [_valueless(name, count, runs) for name, count in summary["without_value"].items()]
@@ -125,8 +128,19 @@ def verdict_sentences(summary: dict[str, Any]) -> list[str]:
     if not summary["complete"]:
         planned = summary["planned_runs"]
         of = "" if planned is None else f" of {planned} runs"
-        sentences.append(f"The campaign is not complete: {runs}{of} are kept.")
+        kept = runs + summary.get("refused", 0)
+        sentences.append(f"The campaign is not complete: {kept}{of} are kept.")
     return sentences
+
+
+def _refused(summary: dict[str, Any]) -> str:
+    """Return how many draws are no valid scenario, and the first of these."""
+    count, drawn = summary["refused"], summary["runs"] + summary["refused"]
+    are, were = ("is", "was") if count == 1 else ("are", "were")
+    return (
+        f"{count} of {drawn} draws {are} no valid scenario and {were} left out: interval and failure probability are "
+        f"those of the draws that are valid scenarios, not of all that vary draws. The first: {summary['refusal']}."
+    )
 
 
 def of_common_noise(holds: str, seed: int) -> str:
@@ -188,7 +202,8 @@ def _verdict(summary: dict[str, Any]) -> Verdict:
     bound = (summary["until"] or {}).get("probability_below")
     if low > (_OFTEN if bound is None else bound):
         return "bad"
-    if summary["common_noise"] is not None or _rests(summary):  # of other noise, or of the law, the runs show nothing
+    # of other noise, of the law, or of a part of the draws the runs show nothing
+    if summary["common_noise"] is not None or _rests(summary) or summary.get("refused"):
         return "warning"
     if bound is not None:
         return "good" if high <= bound else "warning"

@@ -115,7 +115,8 @@ def campaign(
         if result.interrupted:
             planned = result.plan.runs
             of = "" if planned is None else f" of {planned}"
-            interrupted(f"{len(result)}{of} runs are kept; the same command goes on")
+            kept = len(result) + result.summary["refused"]
+            interrupted(f"{kept}{of} runs are kept; the same command goes on")
         if worst:
             with refusals():
                 case = hs.worst_case(result, threads=threads)
