@@ -314,7 +314,7 @@ def test_a_state_with_a_number_that_none_has_is_refused_or_harmless(name: str) -
     the law would never act again.
     """
     scenario = hs.load_scenario(name)
-    scenario = scenario.updated({"simulation.duration": 60 * scenario.simulation.step})
+    scenario = scenario.updated({"simulation.duration": 120 * scenario.simulation.step})  # the first image is there
     ticks = ticks_of(scenario)
     controller = hs.Controller(scenario)
     count = len(ticks["now"])

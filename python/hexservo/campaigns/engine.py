@@ -17,7 +17,7 @@ from hexservo.campaigns.chunks import Tally
 from hexservo.campaigns.engines import Chunk, Engine, engine_of
 from hexservo.campaigns.intervals import runs_for_bound
 from hexservo.campaigns.plan import CampaignPlan, load_plan
-from hexservo.campaigns.result import CampaignResult, is_complete, refusal, scenario_of_run, summary_of
+from hexservo.campaigns.result import CampaignResult, is_complete, scenario_of_run, summary_of, why_refused
 from hexservo.campaigns.store import WORST, ShorterChunkError, Store, UnreadableError, new_record
 from hexservo.run.progress import ProgressCallback, Report, reported
 from hexservo.run.publish import OutputError, named
@@ -191,7 +191,7 @@ class _State:
         """Refuse distributions of which most draws are no valid scenario."""
         if self.tally.mostly_refused is not None:
             refused, drawn = self.tally.mostly_refused
-            first = refusal(self.plan, self.tally)
+            first = why_refused(self.plan, self.tally)
             raise ScenarioError(
                 [
                     f"vary: expected distributions of which most draws are valid scenarios, got {refused} of the first "

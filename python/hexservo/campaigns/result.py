@@ -284,7 +284,7 @@ def summary_of(plan: CampaignPlan, record: dict[str, Any], tally: Tally) -> dict
         "common_noise": plan.common_noise,
         "runs": tally.runs,
         "refused": tally.refused,
-        "refusal": refusal(plan, tally),
+        "refusal": why_refused(plan, tally),
         "planned_runs": plan.runs,
         "until": None if plan.until is None else plan.until.to_plain(),
         "complete": is_complete(plan, tally),
@@ -319,7 +319,7 @@ def _values(plan: CampaignPlan, requirement: Requirement, span: tuple[float, flo
     return {"bound": requirement.bound, "unit": unit, "smallest": smallest, "largest": largest}
 
 
-def refusal(plan: CampaignPlan, tally: Tally) -> str:
+def why_refused(plan: CampaignPlan, tally: Tally) -> str:
     """Return why the first draw that is no valid scenario is none, with its index; "" where all are."""
     if tally.first_refused is None:
         return ""

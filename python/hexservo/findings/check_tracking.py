@@ -13,7 +13,7 @@ from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.analysis.words import AXES
 from hexservo.findings.check_gains import SELDOM, share_of_restarts
 from hexservo.findings.check_gate import moved_between_frames
-from hexservo.findings.check_tracking_runs import less_noise, noise_helps, of_following, of_limits
+from hexservo.findings.check_tracking_runs import less_noise, noise_helps, of_limits, of_runs
 from hexservo.findings.target_line import Piece, SteadyFilter, longest_behind, steady_line
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.laws import Tracking
@@ -84,7 +84,7 @@ def _of_motion(scene: Scene, gains: Tracking) -> Iterator[str]:
         limits = list(of_limits(scene))
         yield from limits or _of_steady(scene, gains, fastest)
     elif motion.kind != "sinusoid" or motion.frequency * period < _FEW_FRAMES:  # `check_target` names what more show
-        yield from of_following(scene, gains)
+        yield from of_runs(scene, gains)
 
 
 def _of_steady(scene: Scene, gains: Tracking, velocity: Array) -> Iterator[str]:

@@ -42,7 +42,7 @@ class _Remedy:
         return f"{', and '.join(of_key[key] for key in self.changes)}: about {number(self.left, 2)} px are left"
 
 
-def of_following(scene: Scene, gains: Tracking) -> Iterator[str]:
+def of_runs(scene: Scene, gains: Tracking) -> Iterator[str]:
     """Yield a sentence for a target that runs follow farther behind than the band, with what leaves less in runs."""
     following = following_of(scene)
     if following is None or not following.within_reach:  # `check_target` names what is out of reach or sight
