@@ -103,13 +103,13 @@ def test_the_leg_that_ends_a_run_is_its_last_event(kind: str) -> None:
     middle = _core.Hexapod(core_parameters(machine).robot).mid_lengths
     values = np.abs(free.leg_lengths - middle) if kind == "stroke" else peaks(free)[kind]
     limit = 0.6 * float(values.max())
-    key = {
+    keys: dict[str, dict[str, Any]] = {
         "stroke": {"robot.stroke": limit},
         "speed": {"robot.speed_limit": limit},
         "base_joint": {"robot.joint_limit": [limit, np.pi]},
         "platform_joint": {"robot.joint_limit": [np.pi, limit]},
-    }[kind]
-    result = hs.simulate(machine.updated({**key, **STOP}))
+    }
+    result = hs.simulate(machine.updated({**keys[kind], **STOP}))
     first = int(np.argmax((values > limit).any(axis=1)))
     event = result.stop_event
     assert result.outcome == "leg_limit"
