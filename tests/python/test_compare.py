@@ -374,7 +374,7 @@ def test_units_follow_the_legs(names: list[str], monkeypatch: pytest.MonkeyPatch
     """One unit in the head; of machines of both kinds, a unit beside each number."""
     from hexservo.cli import terminal
 
-    comparison = hs.compare(names, ["pbvs"], {"simulation.duration": 0.1})
+    comparison = hs.compare(names, ["pbvs"], {"simulation.duration": 0.4})
     mixed = len(names) > 1
     heads = ["leg force, crank torque", "stroke"]
     if not mixed:
@@ -398,7 +398,7 @@ def test_units_follow_the_legs(names: list[str], monkeypatch: pytest.MonkeyPatch
 
     for width in (30, 10_000):
         monkeypatch.setattr(terminal, "width", lambda width=width: width)
-        arguments = ["compare", "--scenarios", ",".join(names), "--laws", "pbvs", "--set", "simulation.duration=0.1"]
+        arguments = ["compare", "--scenarios", ",".join(names), "--laws", "pbvs", "--set", "simulation.duration=0.4"]
         shown = " ".join(CliRunner().invoke(app, arguments).stdout.replace("!", "").split())
         for row in comparison.rows:
             assert all(text in shown for text in shown_legs(row, with_unit=mixed or width == 30))
