@@ -15,6 +15,7 @@ import pytest
 from scipy.stats import rankdata
 
 import hexservo as hs
+from browsers import chromium, in_browser
 from hexservo.campaigns.drawing import with_unit
 from hexservo.campaigns.intervals import anytime_interval
 from hexservo.campaigns.pictures import campaign_sections, influential, size_of_chance
@@ -25,7 +26,6 @@ from hexservo.report.charts import LINE_COLOURS, bars, curves
 from hexservo.run.files import MARKER
 from test_campaign_engine import FILE, RUNS
 from test_campaign_search import SHORT
-from test_report import CHROMIUM, in_browser
 from test_terminal import invoke
 
 arrow = hs.CampaignResult.to_arrow
@@ -343,12 +343,9 @@ def test_the_page_in_a_browser(
     result: hs.CampaignResult, more: tuple[Section, ...], width: int, scheme: Literal["light", "dark"]
 ) -> None:
     """Printed too."""
-    from playwright.sync_api import sync_playwright
-
     path = hs.write_campaign_report(result, more)
     problems: list[str] = []
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM)
+    with chromium() as browser:
         page = browser.new_page(viewport={"width": width, "height": 800}, color_scheme=scheme)
         page.on("console", lambda message: problems.append(message.text) if message.type == "error" else None)
         page.on("pageerror", lambda error: problems.append(str(error)))
@@ -360,7 +357,6 @@ def test_the_page_in_a_browser(
         assert charts.count() == 9
         assert page.evaluate("document.documentElement.scrollWidth") <= width
         page.pdf()
-        browser.close()
     assert problems == []
 
 

@@ -8,7 +8,6 @@ import json
 import math
 import re
 import runpy
-import shutil
 import subprocess
 from collections.abc import Iterator
 from importlib import resources
@@ -21,6 +20,7 @@ import pytest
 from typer.testing import CliRunner
 
 import hexservo as hs
+from browsers import CHROMIUM, chromium
 from hexservo import _core
 from hexservo.cli.commands import app
 from hexservo.findings.check_keys import settings_needed
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).parents[2]
 MOST_ROWS = 10000  # that the page draws of a run at rest
-CHROMIUM = shutil.which("chromium")
 PATIENCE = 120e3  # milliseconds: the machine may be busy
 BUILT = (resources.files("hexservo") / "explorer.html").is_file()
 
@@ -67,12 +66,8 @@ SMOOTH = [
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as playwright:
-        running = playwright.chromium.launch(executable_path=CHROMIUM)
+    with chromium() as running:
         yield running
-        running.close()
 
 
 @pytest.fixture(scope="module")

@@ -23,6 +23,7 @@ from matplotlib.image import imread
 from numpy.typing import NDArray
 
 import hexservo as hs
+from browsers import chromium, in_browser
 from hexservo import _core
 from hexservo.draw.plots import paper_images
 from hexservo.findings import sections
@@ -792,20 +793,14 @@ def test_the_report_of_the_paper_is_small_and_quick(tmp_path: Path, monkeypatch:
 
 # ---- In a browser ---------------------------------------------------------------------------------------------------
 
-CHROMIUM = shutil.which("chromium")
 PATIENCE = 120.0  # [s], with pages on a busy machine
 GL = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]  # by the processor alone
-in_browser = pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed (apt-get install chromium)")
 
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as playwright:
-        running = playwright.chromium.launch(executable_path=CHROMIUM, args=GL)
+    with chromium(*GL) as running:
         yield running
-        running.close()
 
 
 class Visit:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +13,7 @@ import numpy as np
 import pytest
 
 import hexservo as hs
+from browsers import chromium, in_browser
 from hexservo.report.figures import figures
 from hexservo.report.page import page
 from hexservo.report.scene import SpaceView, scene
@@ -22,7 +22,6 @@ from hexservo.report.still import still
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
-CHROMIUM = shutil.which("chromium")
 COLOURS = 6
 FILLS = """kind => [...document.querySelectorAll(`${kind} .dot`)].map(dot => getComputedStyle(dot).fill)"""
 
@@ -39,15 +38,11 @@ def result() -> hs.Result:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as playwright:
-        running = playwright.chromium.launch(executable_path=CHROMIUM)
+    with chromium() as running:
         yield running
-        running.close()
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed (apt-get install chromium)")
+@in_browser
 def test_every_dot_has_the_colour_of_its_point(
     result: hs.Result, browser: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 from hexservo.campaigns.plan import CampaignPlan
 from hexservo.scenario.plain import dotted
 from hexservo.scenario.rules import shown_value
+from hexservo.scenario.wording import first_of
 
 _NAMED = 3  # keys within one of a campaign
 _NONE = object()
@@ -45,8 +46,7 @@ def _difference(key: str, there: Any, now: Any) -> str:
     inner = [dotted(value) for value in (there, now)]
     values = {name: [each.get(name, _NONE) for each in inner] for name in inner[0] | inner[1]}
     found = [of_both(name, *both) for name, both in values.items() if both[0] != both[1]]
-    more = f" and {len(found) - _NAMED} more" if len(found) > _NAMED else ""
-    return f"{key}: {', '.join(found[:_NAMED])}{more}"
+    return f"{key}: {first_of(found, _NAMED)}"
 
 
 def _text(value: Any) -> str:

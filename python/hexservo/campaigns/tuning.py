@@ -26,6 +26,7 @@ from hexservo.campaigns.tune_result import Edge, FrontPoint, Generation, Relaxat
 from hexservo.campaigns.worst_case import MAX_SEED
 from hexservo.campaigns.writing import (
     free_place,
+    refuse_file,
     require_empty,
     require_own_scenario,
     write_beside,
@@ -296,8 +297,8 @@ def _require_own_check(folder: Path) -> None:
             read_plan(folder)
         else:
             require_empty(folder, "the held-out campaign")
-    elif os.path.lexists(folder):
-        raise OutputError(f"{named(folder)}: expected a folder, got a file, which is kept; move it away")
+    else:
+        refuse_file(folder)
 
 
 def _goes_on(folder: Path, plan: CampaignPlan) -> bool:

@@ -30,7 +30,7 @@ from hexservo.scenario.arrays import Array
 from hexservo.scenario.fields import described
 from hexservo.scenario.noise import is_random
 from hexservo.scenario.scenario import Scenario
-from hexservo.scenario.wording import number, whole_number, wrong_type
+from hexservo.scenario.wording import first_of, number, whole_number, wrong_type
 from hexservo.scenario.yaml import ScenarioError
 
 if TYPE_CHECKING:
@@ -98,10 +98,9 @@ class WorstCase(Findings):
         if self.common_noise is not None:
             sentences.append(of_common_noise("it is the worst case", self.common_noise))
         if self.drawn_margin < self.margin and self.outside:
-            more = f" and {len(self.outside) - _NAMED} more" if len(self.outside) > _NAMED else ""
             sentences.append(
                 f"{WORST} has the campaign's own worst run, which is worse: outside of the box that is searched lies "
-                f"its {', '.join(self.outside[:_NAMED])}{more}."
+                f"its {first_of(self.outside, _NAMED)}."
             )
         if self.diagnosis is not None:
             sentences.append(self.diagnosis.section().sentences[0])

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from hexservo.run.publish import OutputError, named, synchronize
-from hexservo.scenario.wording import quoted
+from hexservo.scenario.wording import first_of, quoted
 
 _HEAD = "# Written by hexservo, which replaces it while it is unchanged; SHA-256 of the rest: "  # of scenarios
 
@@ -74,12 +74,23 @@ def require_empty(folder: Path, owner: str) -> None:
     """
     others = sorted(path.name for path in folder.iterdir() if not _is_draft(path))
     if others:
-        names = ", ".join(map(quoted, others[:_NAMED]))
-        more = f" and {len(others) - _NAMED} more" if len(others) > _NAMED else ""
+        names = first_of([quoted(name) for name in others], _NAMED)
         raise OutputError(
-            f"{named(folder)}: expected a new folder or that of {owner}, got one with other files: {names}{more}; "
+            f"{named(folder)}: expected a new folder or that of {owner}, got one with other files: {names}; "
             "name a new folder"
         )
+
+
+def refuse_file(path: Path) -> None:
+    """Refuse a file in the place of a folder.
+
+    Raises
+    ------
+    OutputError
+        It is kept.
+    """
+    if os.path.lexists(path) and not path.is_dir():
+        raise OutputError(f"{named(path)}: expected a folder, got a file, which is kept; move it away")
 
 
 def make_folder(path: Path) -> None:
@@ -91,8 +102,7 @@ def make_folder(path: Path) -> None:
         A file has its name, or it cannot be made.
     """
     with refusing(path):
-        if os.path.lexists(path) and not path.is_dir():
-            raise OutputError(f"{named(path)}: expected a folder, got a file, which is kept; move it away")
+        refuse_file(path)
         path.mkdir(exist_ok=True)
 
 

@@ -191,13 +191,8 @@ def _document(
 
 def _coarsest_period(scenario: hs.Scenario) -> float:
     """Return the longest servo period [s] of which `hexservo check` does not warn; infinite where none is known."""
-    from hexservo.findings.analysis.linear_law import NoRestError
-    from hexservo.findings.analysis.loop_of_scenario import NotApplicableError
-    from hexservo.findings.analysis.scene import scene_of
-    from hexservo.findings.check import fastest_rate
+    from hexservo.findings.check import known_rate
     from hexservo.findings.check_period import coarsest_period
 
-    try:
-        return coarsest_period(fastest_rate(scene_of(scenario)))
-    except (NoRestError, NotApplicableError):  # `hexservo check` gives the reason
-        return math.inf
+    rate = known_rate(scenario)
+    return math.inf if rate is None else coarsest_period(rate)

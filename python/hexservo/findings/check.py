@@ -302,6 +302,14 @@ def _of_unknown_latency(scenario: Scenario) -> Iterator[str]:
         )
 
 
+def known_rate(scenario: Scenario) -> float | None:
+    """Return the `fastest_rate` of a scenario [1/s]; None where its law cannot be evaluated at home."""
+    try:
+        return fastest_rate(scene_of(scenario))
+    except (NoRestError, NotApplicableError):  # `hexservo check` gives the reason
+        return None
+
+
 def fastest_rate(scene: Scene) -> float:
     """Return the largest magnitude of the poles of law and plant [1/s], in continuous time, linear at home.
 

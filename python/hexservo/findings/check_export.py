@@ -8,10 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from hexservo.findings.analysis.linear_law import NoRestError
-from hexservo.findings.analysis.loop_of_scenario import NotApplicableError
 from hexservo.findings.analysis.scene import scene_of
-from hexservo.findings.check import evaluated, fastest_rate
+from hexservo.findings.check import evaluated, known_rate
 from hexservo.findings.check_brake import judged_run, of_brake
 from hexservo.findings.check_period import of_period
 from hexservo.run.controller import tick_keys
@@ -78,7 +76,7 @@ def _of_period(scenario: Scenario, period: float) -> Iterator[str]:
     remark = f"; run the scenario with {_pasted(changes)} before a robot" if changes else ""
     if continuous:
         remark = f", and a run in continuous mode has no servo period{remark}"
-    coarse = list(of_period(scenario, _rate(scenario), period))
+    coarse = list(of_period(scenario, known_rate(scenario), period))
     for sentence in coarse:
         yield sentence + remark
     run = judged_run(scenario.updated(changes)) if changes else None
@@ -91,13 +89,6 @@ def _of_period(scenario: Scenario, period: float) -> Iterator[str]:
 def _pasted(changes: dict[str, Any]) -> str:
     *first, last = (f"{key}={value if isinstance(value, str) else f'{value:.12g}'}" for key, value in changes.items())
     return f"{', '.join(first)} and {last}" if first else last
-
-
-def _rate(scenario: Scenario) -> float | None:
-    try:
-        return fastest_rate(scene_of(scenario))
-    except (NoRestError, NotApplicableError):
-        return None
 
 
 def _of_assumptions(scenario: Scenario) -> list[str]:

@@ -134,8 +134,7 @@ def _pointed(scene: Scene, path: TargetPath) -> Poses:
     Of the rotations at home's position that bring the weighted middle of the points to that of the goal it is the
     shortest one, as of docs/model.md, section 5: by Newton's method for the least rotation under that condition.
     """
-    weights = np.asarray(scene.settings["target.weights"], dtype=float)
-    shares = weights / weights.sum()
+    shares = scene.shares
     wanted = shares @ scene.desired.reshape(-1, 2)
     turns = np.zeros_like(path.shift)
     home = scene.home.repeated(len(path))

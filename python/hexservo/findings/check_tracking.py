@@ -225,6 +225,5 @@ def _variance_per_pixel(scene: Scene, gains: Tracking) -> Array:
         jacobian = scene.of_noise(view.features, view.jacobian)
         return np.asarray(np.linalg.inv(jacobian.T @ jacobian))
     view = scene.view(scene.start)
-    weights = np.broadcast_to(np.asarray(scene.scenario.target.weights, dtype=float), len(view.features) // 2)
-    share = float(np.linalg.norm(weights) / weights.sum())
+    share = float(np.linalg.norm(scene.shares))
     return np.asarray((share * view.mean_depth / scene.settings.camera.focal_pixels) ** 2 * np.eye(3))

@@ -12,6 +12,7 @@ from hexservo.findings.check_gains import OF_SERVO_RATE
 from hexservo.findings.tracking_runs import BANDWIDTH, CERTAINTY, LIMITS, NOISE, Following, following_of
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.laws import Tracking
+from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number, quantity
 
 _HELPS = 0.8  # of an error that a change has to leave at most, to be named
@@ -47,7 +48,7 @@ def of_runs(scene: Scene, gains: Tracking) -> Iterator[str]:
     following = following_of(scene)
     if following is None or not following.within_reach:  # `check_target` names what is out of reach or sight
         return
-    free: dict[str, Any] = {key: None for key in LIMITS if value_at(scene.scenario, key) is not None}
+    free: dict[str, Any] = dict.fromkeys(_limits(scene.scenario))
     now = following.now
     if not _matters(following, now):
         return
@@ -69,11 +70,18 @@ def of_runs(scene: Scene, gains: Tracking) -> Iterator[str]:
 
 def of_limits(scene: Scene) -> Iterator[str]:
     """Yield a sentence for a steady target that takes more of the legs than their limits allow."""
+    if not _limits(scene.scenario):
+        return
     following = following_of(scene)
     if following is None or not following.within_reach or not (beyond := _beyond(following)):
         return
     if _matters(following, following.now):
         yield _of_limits(following, following.now, following.left([dict.fromkeys(LIMITS)])[0], None, beyond)
+
+
+def _limits(scenario: Scenario) -> dict[str, float]:
+    """Return the limits of the legs that a scenario has [m/s, m/s^2; of cranks rad/s, rad/s^2]."""
+    return {key: float(limit) for key in LIMITS if (limit := value_at(scenario, key)) is not None}
 
 
 def _matters(following: Following, now: float) -> bool:
@@ -120,11 +128,8 @@ def _chosen(remedies: list[_Remedy], now: float, band: float) -> _Remedy | None:
 
 def _beyond(following: Following) -> str:
     """Return the key of the limit that a leg exceeds most where it is with the target at every frame, or nothing."""
-    shares = {
-        key: needed / limit
-        for key, needed in zip(LIMITS, following.leg_rates, strict=True)
-        if (limit := value_at(following.scenario, key)) is not None
-    }
+    limits, needed = _limits(following.scenario), dict(zip(LIMITS, following.leg_rates, strict=True))
+    shares = {key: needed[key] / limit for key, limit in limits.items()}
     key = max(shares, key=lambda name: shares[name], default="")
     return key if key and shares[key] > _ROUNDING else ""
 

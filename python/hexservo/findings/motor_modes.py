@@ -9,6 +9,7 @@ import numpy as np
 from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene
+from hexservo.findings.caused import caused_by
 from hexservo.scenario.arrays import Array
 
 
@@ -41,7 +42,6 @@ def motor_modes(scene: Scene) -> Array:
 def _leg_inertia(scene: Scene, pose: Poses) -> Array:
     """Return the platform's principal inertias in the space of the legs, (6,) [kg], of cranks [kg m^2]."""
     wrenches = scene.wrench_maps(pose)
-    at_rest = (np.tile(pose.position, (7, 1)), np.tile(pose.quaternion, (7, 1)), np.zeros((7, 6)))
-    found = scene.probe.acceleration(*at_rest, np.vstack([np.zeros(6), wrenches.T]))
-    mobility = (found[1:] - found[0]) @ wrenches  # row: rates of all legs by the force of one
+    at = pose.repeated(1)
+    mobility = wrenches.T @ caused_by(scene.probe, at.position, at.quaternion, wrenches)[0]  # of legs, by their forces
     return np.asarray(1.0 / np.linalg.eigvalsh(0.5 * (mobility + mobility.T)))

@@ -10,6 +10,7 @@ import numpy as np
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.rotations import conjugate
 
 _ON_THE_EDGE = 1e-9  # of the stroke: a nearest pose may be so far beyond it
 _LEVER = 1e-5  # least lever arm over crank: where rods are too long or short by its square a crank no longer closes
@@ -158,7 +159,7 @@ class _Linkage:
         self._levers = np.sign(levers) * self._length * np.linalg.norm(self._cranks, axis=-1)
         self._independence = self._independent(arms, rods)
         self._directions = _directions(rods)
-        turned_back = Poses(np.zeros(3), home.quaternion * np.array([1.0, -1.0, -1.0, -1.0]))
+        turned_back = Poses(np.zeros(3), conjugate(home.quaternion))
         self._directions_in_platform = turned_back.carried(self._directions)
 
     @property

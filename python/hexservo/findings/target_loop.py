@@ -129,6 +129,6 @@ def _left(scene: Scene, view: View, platform: Array, moved: Array) -> Left:
 
 def _displacement_about(path: TargetPath, origin: Array) -> Array:
     """Return the displacements of a target as a rigid body, in B about a point (3,), (n, 6) [m; rad]."""
-    place = np.einsum("nji,nj->ni", path.attitude, origin + path.shift) - origin
+    place = path.places(origin) - origin
     turn = unit_rotation_vectors(quaternions_of_matrices(path.attitude))
     return np.concatenate([place, -turn], axis=1)

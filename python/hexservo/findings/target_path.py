@@ -11,7 +11,7 @@ from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.motion import TargetMotion, displacements_of, moves
-from hexservo.scenario.rotations import quaternion_product, quaternions_of_matrices
+from hexservo.scenario.rotations import conjugate, quaternion_product, quaternions_of_matrices
 from hexservo.scenario.scenario import Scenario
 
 _INSTANTS = 200  # of a run, or of a period of a sinusoid, that are looked at
@@ -36,9 +36,14 @@ class TargetPath:
 
     def carried(self, pose: Poses) -> Poses:
         """Return the poses (n) from which the target has the image that it has from one pose at rest."""
-        back = quaternions_of_matrices(self.attitude) * np.array([1.0, -1.0, -1.0, -1.0])
-        place = np.einsum("nji,nj->ni", self.attitude, pose.position + self.shift)
-        return Poses(place, quaternion_product(back, np.broadcast_to(pose.quaternion, (len(self), 4))))
+        back = conjugate(quaternions_of_matrices(self.attitude))
+        return Poses(
+            self.places(pose.position), quaternion_product(back, np.broadcast_to(pose.quaternion, (len(self), 4)))
+        )
+
+    def places(self, point: Array) -> Array:
+        """Return where a point (3,) of the target at rest is in B, (n, 3) [m]."""
+        return np.asarray(np.einsum("nji,nj->ni", self.attitude, point + self.shift))
 
     def seen_alike(self, poses: Poses) -> Poses:
         """Return from where (n) the target at rest has the image that it has from one pose, or n of them."""

@@ -136,9 +136,8 @@ class Following:
             return 0.0
         twists = np.hstack([vectors, np.zeros_like(vectors)])
         if self.directs:
-            shares = np.asarray(self.scene.settings["target.weights"], dtype=float)
             jacobian = self.scene.view(self.rest).jacobian.reshape(-1, 2, 6)
-            middle = np.einsum("p,pkj->kj", shares / shares.sum(), jacobian)
+            middle = np.einsum("p,pkj->kj", self.scene.shares, jacobian)
             twists = np.hstack([np.zeros_like(vectors), vectors @ (np.linalg.pinv(middle[:, 3:]) @ middle[:, :3]).T])
         return float(np.abs(self.scene.leg_rates(self.rest, twists.T)).max())
 
@@ -221,7 +220,6 @@ def _largest(scene: Scene, batch: BatchResult, since: float) -> Array:
 def _errors(scene: Scene, features: Array) -> Array:
     """Return the error [px] of differences of features (..., 2p) [px] from the goal, (...)."""
     if _directs(scene.scenario):
-        weights = np.asarray(scene.settings["target.weights"], dtype=float)
         points = features.reshape(*features.shape[:-1], -1, 2)
-        features = np.einsum("p,...pk->...k", weights / weights.sum(), points)
+        features = np.einsum("p,...pk->...k", scene.shares, points)
     return np.asarray(np.abs(features).max(axis=-1))

@@ -15,6 +15,7 @@ from typing import NoReturn, TypeAlias
 from hexservo.run.publish import OutputError, Place, draft_beside, named, publish, signals_raised, synchronize
 from hexservo.scenario.reading import EMPTY_PATH, path_text
 from hexservo.scenario.version import VERSION
+from hexservo.scenario.wording import first_of
 
 MARKER = ".hexservo-output"
 """Name of the file that identifies a folder of results; it lists the other files with their SHA-256."""
@@ -161,8 +162,8 @@ def _strangers(folder: Path) -> list[str] | None:
 
 
 def _listing(names: list[str]) -> str:
-    shown = [name if name.isprintable() else ascii(name) for name in names[:8]]
-    return ", ".join(shown) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
+    shown = [name if name.isprintable() else ascii(name) for name in names]
+    return first_of(shown, 8)
 
 
 def _refuse_unwritable(path: Path, error: OSError | ValueError, place: str = "folder") -> NoReturn:

@@ -10,7 +10,7 @@ import numpy as np
 from hexservo.run.probe import probe
 from hexservo.run.samples import rotation_vectors
 from hexservo.scenario.pixels import desired_features
-from hexservo.scenario.rotations import quaternion_product
+from hexservo.scenario.rotations import conjugate, quaternion_product
 
 if TYPE_CHECKING:
     from hexservo.run.result import Result
@@ -65,7 +65,7 @@ def goal_distance(result: Result) -> GoalDistance | None:
         return None
     position, quaternion, misfit = position[shown], quaternion[shown], misfit[shown]
     shift = np.linalg.norm(result.position[-1] - position, axis=1)
-    turns = quaternion_product(result.quaternion[-1], quaternion * [1.0, -1.0, -1.0, -1.0])
+    turns = quaternion_product(result.quaternion[-1], conjugate(quaternion))
     angle = np.linalg.norm(rotation_vectors(turns), axis=1)
     one = int(np.argmin(np.hypot(shift / np.abs(result.depth[-1]).mean(), angle)))
     places = np.stack([position[one], result.position[-1]]), np.stack([result.quaternion[-1], quaternion[one]])

@@ -26,6 +26,11 @@ def quaternion_product(first: Array, second: Array) -> Array:
     return found
 
 
+def conjugate(quaternion: Array) -> Array:
+    """Return the conjugates of quaternions (..., 4): the rotation back, for those of length one."""
+    return np.asarray(quaternion * np.array([1.0, -1.0, -1.0, -1.0]))
+
+
 def unit_rotation_vectors(unit: Array) -> Array:
     """Return axis times angle of quaternions of length one, (..., 4), as (..., 3) [rad]; the angle is at most pi."""
     unit = np.where(unit[..., :1] < 0, -unit, unit)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import decimal
 import math
 import operator
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 
 
 def number(value: float, digits: int = 3) -> str:
@@ -78,6 +78,12 @@ _PREFIXES = (("", 1.0), ("m", 1e3), ("u", 1e6), ("n", 1e9))
 def counted(count: int, noun: str) -> str:
     """Write a count with its noun: "1 run", "3 runs"."""
     return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def first_of(names: Sequence[str], most: int) -> str:
+    """Write the first names of a list, with a count of those left out: "a, b and 3 more"."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
 
 
 def quantity(value: float, unit: str, digits: int = 3) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexservo.scenario.arrays import Array, Mask
-from hexservo.scenario.rotations import quaternion_of, quaternion_product, unit_rotation_vectors
+from hexservo.scenario.rotations import conjugate, quaternion_of, quaternion_product, unit_rotation_vectors
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +44,7 @@ class Poses:
         """Return points in B, (..., n, 3) [m], that are fixed to the platform at (n, 3) in E [m]."""
         q = self.quaternion[..., None, :]
         pure = np.column_stack([np.zeros(len(points)), points])
-        back = q * np.array([1.0, -1.0, -1.0, -1.0])
-        turned = quaternion_product(quaternion_product(q, pure), back) / (q * q).sum(-1, keepdims=True)
+        turned = quaternion_product(quaternion_product(q, pure), conjugate(q)) / (q * q).sum(-1, keepdims=True)
         return np.asarray(self.position[..., None, :] + turned[..., 1:])
 
     def moved(self, displacement: Array) -> Poses:
@@ -58,7 +57,7 @@ class Poses:
 
     def displacement_from(self, other: Poses) -> Array:
         """Return the displacements from other poses to these, (..., 6) [m; rad], as of `moved`; rotation at most pi."""
-        turn = quaternion_product(self.quaternion, other.quaternion * np.array([1.0, -1.0, -1.0, -1.0]))
+        turn = quaternion_product(self.quaternion, conjugate(other.quaternion))
         return np.concatenate([self.position - other.position, unit_rotation_vectors(turn)], axis=-1)
 
     def repeated(self, count: int) -> Poses:

@@ -12,6 +12,7 @@ from hexservo import _core
 from hexservo.findings.analysis.goal import limited
 from hexservo.findings.analysis.poses import Poses, by_displacement
 from hexservo.findings.analysis.scene import Scene, scene_of
+from hexservo.findings.caused import caused_by
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.parameters import gains_of
 from hexservo.scenario.scenario import Scenario
@@ -139,11 +140,7 @@ class Rest(Scene):
         1e-6 truncation and rounding leave about 1e-12 of the largest entry of the former.
         """
         force = 1.0 + float(np.abs(self.weight).max())  # beside a weight a smaller one would be lost in rounding
-        columns = np.vstack([np.zeros(6), force * np.eye(6)])
-        at = (np.repeat(poses.position, 7, axis=0), np.repeat(poses.quaternion, 7, axis=0))
-        still = np.zeros((7 * len(poses), 6))
-        caused = self.probe.acceleration(*at, still, np.tile(columns, (len(poses), 1))).reshape(-1, 7, 6)
-        per_wrench = (caused[:, 1:] - caused[:, :1]).swapaxes(1, 2) / force  # inverse of the inertia
+        per_wrench = caused_by(self.probe, poses.position, poses.quaternion, force * np.eye(6)) / force
         return np.asarray((per_wrench * self.unit / self.unit[:, None]) @ self._slope(self._left, poses))
 
     def _slope(self, of: Callable[[Poses], Array], poses: Poses) -> Array:

@@ -233,6 +233,12 @@ class Scene:
         return np.nan_to_num(found)
 
     @property
+    def shares(self) -> Array:
+        """Share of each point in the weighted mean of all, (p,) [1], which `follow: direction` follows."""
+        weights = np.asarray(self.settings["target.weights"], dtype=float)
+        return np.asarray(weights / weights.sum())
+
+    @property
     def root_weights(self) -> Array:
         """(2p, 1), root of what each coordinate counts: rows of a Jacobian times it have the same noise."""
         return np.asarray(np.sqrt(np.repeat(self.settings["target.weights"], 2))[:, None])

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hexservo import _core
+from hexservo.findings.caused import caused_by
 from hexservo.run.result import Result, require_result
 from hexservo.run.simulation import simulate, uninterrupted
 from hexservo.scenario.arrays import Array, Mask
@@ -268,7 +269,7 @@ class Plant:
             wrench = 64 * max(1.0, np.abs(fall).max()) * body
             if not np.isfinite(wrench).all():
                 raise ArithmeticError("the weight is too large for numbers")
-            response = _response(run.probe, wrench, home)[0]
+            response = caused_by(run.probe, np.zeros((1, 3)), home, np.diag(wrench))[0]
             lost = np.finfo(np.float64).eps * np.abs(fall).max() / np.abs(response).max(axis=0)
         if not (lost <= _LOST).all():
             raise ArithmeticError("the inertia is too small beside the weight to follow from accelerations")
@@ -276,7 +277,7 @@ class Plant:
 
     def inertia(self, quaternion: Array) -> Array:
         """(1 - delta_D) D-bar, (n, 6, 6): acceleration in B (m/s^2; rad/s^2) to wrench (N; N m)."""
-        response = _response(self.probe, self.wrench, quaternion)
+        response = caused_by(self.probe, np.zeros((len(quaternion), 3)), quaternion, np.diag(self.wrench))
         return np.asarray(self.wrench[:, None] * np.linalg.inv(response), dtype=np.float64)
 
     def coriolis(self, quaternion: Array, twist: Array, inertia: Array) -> Array:
@@ -301,16 +302,3 @@ class Plant:
 def product(matrices: Array, vectors: Array) -> Array:
     """Multiply n matrices (n, 6, 6) with n vectors (n, 6)."""
     return np.asarray(np.einsum("nij,nj->ni", matrices, vectors))
-
-
-def _response(probe: _core.Probe, wrenches: Array, quaternion: Array) -> Array:
-    """Accelerations under six wrenches, one an axis, beyond those under none, (n, 6, 6): D^-1 diag(wrenches)."""
-    count = len(quaternion)
-    position, rest = np.zeros((count, 3)), np.zeros((count, 6))
-    fall = probe.acceleration(position, quaternion, rest, rest)
-    columns = []
-    for axis in range(6):
-        wrench = np.zeros((count, 6))
-        wrench[:, axis] = wrenches[axis]
-        columns.append(probe.acceleration(position, quaternion, rest, wrench) - fall)
-    return np.stack(columns, axis=2)

@@ -12,7 +12,7 @@ from hexservo.findings.diagnosis.words import ends, how, joined, remedy_sentence
 from hexservo.findings.evidence import Column, Curves, Line, Section, Table
 from hexservo.scenario.blocks import Robot
 from hexservo.scenario.leg_units import leg_units
-from hexservo.scenario.wording import number
+from hexservo.scenario.wording import first_of, number
 
 _PAGE = "docs/diagnosis/ranking.md"
 _TITLES = {cause.key: cause.title for cause in CAUSES}
@@ -128,11 +128,10 @@ def _left(found: Diagnosis) -> list[str]:
             "them by auto.bandwidth.",
         ]
     keys = sorted(faultless(found.result.scenario))
-    more = f" and {len(keys) - _KEYS} more" if len(keys) > _KEYS else ""
     return [
         *words,
         "With devices without faults and default gains, all at once, the run passes. What is left are causes of which "
-        f"more than two act together: from that run change back one key at a time, of {', '.join(keys[:_KEYS])}{more}.",
+        f"more than two act together: from that run change back one key at a time, of {first_of(keys, _KEYS)}.",
     ]
 
 

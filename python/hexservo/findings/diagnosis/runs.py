@@ -10,6 +10,7 @@ import numpy as np
 
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.diagnosis.criterion import Record, make_record
+from hexservo.findings.target_path import base_moves_target, path_at
 from hexservo.run.batch import BatchResult, metrics_of, simulate_batch, whole
 from hexservo.run.leg_limits import KIND_OF_CAUSE
 from hexservo.run.result import Result
@@ -17,7 +18,7 @@ from hexservo.run.shared import numbers_of, shared_by, widest
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.fitted import acts_on_gains, auto_of
 from hexservo.scenario.keys import acting_keys
-from hexservo.scenario.motion import displacements_of, moves
+from hexservo.scenario.motion import displacements_of
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.yaml import ScenarioError
 
@@ -138,15 +139,13 @@ def _run(
 def displacements_in_base(scenario: Scenario, time: Array) -> Array:
     """Return how far the middle of a target has moved in B at times (n,) [s], (n, 3) [m].
 
-    By its own motion, and by that of the base, R_WB^T (x + d - p_WB) - x, where it is in the world.
+    By its own motion, and by that of the base where it is in the world (`TargetPath`).
     """
-    own = displacements_of(scenario.target.motion, time)
-    if scenario.target.frame != "world" or not moves(scenario.base_motion):
-        return own
+    if not base_moves_target(scenario):
+        return displacements_of(scenario.target.motion, time)
     scene = scene_of(scenario)
     middle = scene.points.mean(axis=0)
-    place, attitude, *_ = scene.probe.base_motion(time)
-    return np.asarray(np.einsum("nji,nj->ni", attitude, middle + own - place) - middle)
+    return np.asarray(path_at(scene, time).places(middle) - middle)
 
 
 def _batch_record(batch: BatchResult, row: int, ran: Scenario) -> Record:
