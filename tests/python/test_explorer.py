@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import pytest
@@ -2114,8 +2114,10 @@ def test_on_paper_there_are_pictures_and_numbers_and_no_controls(visit: Visit) -
 @in_browser
 def test_what_is_printed_has_light_colours_and_charts_of_the_width_of_the_paper(visit: Visit) -> None:
     page = visit.page
-    for scheme in ("light", "dark"):
+    lines: dict[Literal["light", "dark"], str] = {"light": "#1f6feb", "dark": "#58a6ff"}
+    for scheme, line in lines.items():
         page.emulate_media(color_scheme=scheme)
+        page.wait_for_function("line => explorer.charts()[0].series[1].stroke() === line", arg=line)
         page.evaluate(
             """() => {
               const widths = box => [box, box.querySelector('canvas')].map(found => found.clientWidth);
