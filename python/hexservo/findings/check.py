@@ -25,6 +25,7 @@ from hexservo.findings.check_brake import of_brake
 from hexservo.findings.check_following import of_following
 from hexservo.findings.check_gains import of_gains
 from hexservo.findings.check_gate import of_gate
+from hexservo.findings.check_hold import of_hold
 from hexservo.findings.check_joints import of_joints
 from hexservo.findings.check_keys import has_slope, keys_without_effect
 from hexservo.findings.check_machine import of_machine
@@ -61,7 +62,7 @@ def unlikely(scenario: Scenario, *, by_law: bool = True) -> list[str]:
     with each other, duration and weight (`of_positions`), and in sampled mode the servo period with the loop of
     the gains, linearised at home with the switching term as in `linear_law`; gains with duration, servo rate, delays,
     forces and noise (`of_gains`); the filter of `tracking` with the target's motion (`of_tracking`), the linear loop of
-    other laws with it (`of_following`), what encoders read
+    other laws with it (`of_following`), runs of laws without viscous damping (`of_hold`), what encoders read
     with the image and the fuzzy inputs (`of_joints`). Gains with which numbers of that loop overflow have a sentence
     that names it.
     Simulates nothing but how `tracking` follows a target in motion, in a second or some.
@@ -84,7 +85,7 @@ def unlikely(scenario: Scenario, *, by_law: bool = True) -> list[str]:
     return sentences + (
         [
             sentence
-            for of_law in (_of_rates, of_tracking, of_following, of_joints)
+            for of_law in (_of_rates, of_tracking, of_following, of_hold, of_joints)
             for sentence in evaluated(of_law, scene)
         ]
         if by_law

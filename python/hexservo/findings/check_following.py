@@ -17,7 +17,7 @@ def of_following(scene: Scene) -> Iterator[str]:
     """Yield a sentence for a target of which a law leaves more than the band in the second half of a run.
 
     Small motions are left larger in runs, by stiction of the switching term, and so are those that reach the
-    limits of legs or drives.
+    limits of legs or drives. Of a law that no linear loop describes see `check_hold`.
     """
     keys = moving_keys(scene.scenario)
     if not keys or not scene.has_points or scene.scenario.controller.traits.output == "pose":
@@ -34,9 +34,15 @@ def of_following(scene: Scene) -> Iterator[str]:
         if followed > still
         else ""
     )
-    faster = "" if worse else "a law of higher bandwidth, "
-    yield (
-        f"{' and '.join(keys)}: {scene.scenario.controller.law} leaves up to about {number(followed, 2)} px of such "
-        f"a motion of the target by its linear loop, beside noise{worse}. metrics.band is {number(scene.band)} px: "
-        f"{faster}a shorter camera.period or latency, or a slower motion leaves less"
+    yield left_behind(scene, followed, f"by its linear loop, beside noise{worse}", faster=not worse)
+
+
+def left_behind(scene: Scene, left: float, how: str, *, faster: bool) -> str:
+    """Return a sentence for what a law leaves of a motion of the target [px], and what leaves less."""
+    keys = moving_keys(scene.scenario)
+    return (
+        f"{' and '.join(keys)}: {scene.scenario.controller.law} leaves up to about {number(left, 2)} px of such "
+        f"a motion of the target {how}. metrics.band is {number(scene.band)} px: "
+        f"{'a law of higher bandwidth, ' if faster else ''}a shorter camera.period or latency, or a slower motion "
+        "leaves less"
     )
