@@ -1,4 +1,4 @@
-"""Warnings about laws without viscous damping that leave the goal, by runs; no linear loop describes them."""
+"""Warnings about goals that runs from there do not keep, before a target at rest and before one that moves."""
 
 from __future__ import annotations
 
@@ -9,51 +9,113 @@ import numpy as np
 import pytest
 
 import hexservo as hs
+from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check import unlikely
 
-EXACT = {"controller.law": "hybrid", "uncertainty.gravity": 0.0, "uncertainty.depth": 0.0}
-MOVING = {"target.motion": {"kind": "sinusoid", "amplitude": [0.015, 0.0, 0.0], "frequency": 0.5}}
-
-
-def changed(name: str, changes: dict[str, Any]) -> hs.Scenario:
-    return hs.load_scenario(name).updated({"controller.law": "hybrid", **changes})
+HYBRID = {"controller.law": "hybrid"}
+EXACT = {**HYBRID, "uncertainty.gravity": 0.0, "uncertainty.depth": 0.0}
 
 
 def said(scenario: hs.Scenario) -> list[str]:
-    return [line for line in unlikely(scenario) if "runs that begin at the goal" in line]
+    return [line for line in unlikely(scenario) if "that begin at the goal" in line]
 
 
-def error_late(scenario: hs.Scenario) -> float:
-    """Return the largest feature error in the second half of a run from the scenario's own start [px]."""
+def sinusoid(amplitude: list[float], frequency: float) -> dict[str, Any]:
+    return {"target.motion": {"kind": "sinusoid", "amplitude": amplitude, "frequency": frequency}}
+
+
+def left_late(scenario: hs.Scenario) -> float:
+    """Return the largest feature error in the second half of a run [px]."""
     run = hs.simulate(scenario)
-    assert run.outcome == "completed"
     return float(np.abs(run.feature_error[run.time >= 0.5 * run.time[-1]]).max())
 
 
-@pytest.mark.parametrize("name", ["composite-30hz", "slow-camera"])
-def test_a_wrong_weight_is_not_held(name: str) -> None:
-    scenario = changed(name, {})
+TIME = np.arange(0.0, 6.05, 0.05)[:, None]
+RECORDED = np.hstack([0.008 * np.sin(4.0 * TIME), 0.004 * np.sin(7.0 * TIME), 0.0 * TIME]).tolist()
+WORLD = {"target.frame": "world", "base_motion.kind": "sinusoid"}
+STEADY = {"target.motion": {"kind": "velocity", "velocity": [0.008, 0.0, 0.0]}}
+BY_PBVS = {"controller.law": "pbvs"}
+MOTIONS: list[tuple[str, dict[str, Any]]] = [
+    ("composite-30hz", sinusoid([0.005, 0.0, 0.0], 5.0)),
+    ("composite-30hz", {**BY_PBVS, **sinusoid([0.004, 0.0, -0.003], 2.0)}),
+    ("composite-30hz", {**BY_PBVS, "camera.prediction": "none", **sinusoid([0.004, 0.0, -0.003], 2.0)}),
+    ("slow-camera", {"target.motion": {"kind": "recorded", "samples": RECORDED, "sample_period": 0.05}}),
+    ("slow-camera", {**WORLD, "base_motion.amplitude": [0.0, 2.0, 0.0], "base_motion.frequency": 2.0}),
+    ("real-machine", {"base_motion.kind": "none", **sinusoid([0.0, 0.004, 0.003], 2.0)}),
+    ("pi-h824-positions", {**BY_PBVS, **sinusoid([0.002, 0.0, 0.001], 1.0)}),
+    ("pi-h824-positions", {**BY_PBVS, "camera.latency": 0.12, **sinusoid([0.002, 0.0, 0.001], 0.5)}),
+    ("pi-h824-positions", {"controller.law": "resolved_rate", **sinusoid([0.0, 0.002, 0.001], 0.5)}),
+    ("pi-h824-positions", {**BY_PBVS, **STEADY, "simulation.duration": 2.4}),
+    ("composite-30hz", {**EXACT, **sinusoid([0.015, 0.0, 0.0], 0.5)}),
+    ("rubin-camera-hexapod", sinusoid([0.01, 0.0, 0.0], 0.1)),  # no linear loop: the centre of mass is not its middle
+    ("pi-h824", {"uncertainty.focal_length": 0.001, **sinusoid([0.005, 0.0, 0.0], 0.5)}),  # nor with a wrong camera
+    ("pi-h824", sinusoid([0.0008, 0.0, 0.0], 0.5)),  # more than a linear loop: K_v sticks
+]
+
+
+@pytest.mark.parametrize(("name", "changes"), MOTIONS)
+def test_what_is_left_is_within_a_fifth_of_a_run(name: str, changes: dict[str, Any]) -> None:
+    scenario = hs.load_scenario(name).updated({"simulation.duration": 6.0, **changes})
     (line,) = said(scenario)
-    assert float(re.findall(r"are up to ([\d.]+) px from it", line)[0]) == pytest.approx(error_late(scenario), rel=0.2)
-    assert hs.diagnose(hs.simulate(scenario)).causes[0].cause == "gravity"  # what the sentence promises
-    assert [line for line in unlikely(scenario, by_law=False) if "begin at the goal" in line] == []
+    (found,) = re.findall(r"leaves up to about ([\d.]+) px of such a motion", line)
+    assert float(found) == pytest.approx(left_late(scenario), rel=0.2)
+    assert line.startswith("base_motion: " if "base_motion.amplitude" in changes else "target.motion: ")
 
 
-def test_runs_that_end_early_name_the_outcome() -> None:
-    (line,) = said(changed("real-machine", {}))
-    assert "before a target at rest end early (solver_failed); hybrid has Coulomb damping only" in line
+@pytest.mark.parametrize(("name", "changes"), MOTIONS)
+def test_smaller_motions_are_left_within_the_band(name: str, changes: dict[str, Any]) -> None:
+    """A band that is a fourth wider than what is left in a run has no warning, and one a fourth narrower has one."""
+    scenario = hs.load_scenario(name).updated({"simulation.duration": 6.0, **changes})
+    left = left_late(scenario)
+    assert said(scenario.updated({"metrics.band": 1.25 * left})) == []
+    assert len(said(scenario.updated({"metrics.band": 0.75 * left}))) == 1
 
 
-def test_a_target_in_motion_is_followed_as_far_behind_as_in_a_run() -> None:
-    assert said(changed("composite-30hz", EXACT)) == []
-    moving = changed("composite-30hz", {**EXACT, **MOVING})
-    (line,) = said(moving)
-    left = error_late(moving)
-    assert line.startswith("target.motion: hybrid leaves up to about ")
-    assert float(re.findall(r"about ([\d.]+) px of such", line)[0]) == pytest.approx(left, rel=0.2)
-    assert said(moving.updated({"metrics.band": 1.25 * left})) == []
+def test_a_loop_that_amplifies_the_motion() -> None:
+    scenario = hs.load_scenario("slow-camera").updated(sinusoid([0.008, 0.0, 0.0], 2.0))
+    (line,) = said(scenario)
+    (left, still) = map(float, re.findall(r"about ([\d.]+) px of .* would have ([\d.]+) px: the loop", line)[0])
+    assert left > still
+    assert "higher bandwidth" not in line
+    points = scene_of(scenario).view(scene_of(scenario).start).jacobian[:, 0]
+    assert still == pytest.approx(0.008 * np.abs(points).max(), rel=0.2)  # the goal is nearly as far away
 
 
-def test_laws_with_viscous_damping_and_continuous_runs_have_none() -> None:
-    assert said(changed("composite-30hz", {"controller.law": "composite"})) == []
-    assert said(hs.load_scenario("paper")) == []
+def test_what_does_not_move_is_not_said() -> None:
+    scenario = hs.load_scenario("composite-30hz")
+    shaken = {"base_motion.kind": "sinusoid", "base_motion.amplitude": [2.0, 0.0, 0.0]}
+    for changes in ({}, shaken, {**shaken, "base_motion.rotation.kind": "sinusoid"}):
+        assert said(scenario.updated(changes)) == []
+    moving = scenario.updated(MOTIONS[0][1])
+    assert [line for line in unlikely(moving, by_law=False) if "that begin at the goal" in line] == []
+    assert said(hs.load_scenario("pi-h824-positions").updated(sinusoid([0.002, 0.0, 0.001], 1.0))) == []
+    assert said(hs.load_scenario("paper")) == []  # in continuous mode
+
+
+LEAVE: list[tuple[str, dict[str, Any], str]] = [
+    ("composite-30hz", HYBRID, "gravity"),
+    ("slow-camera", HYBRID, "gravity"),
+    ("pi-h824", {"camera.quantisation": 20.0}, "pixel_quantisation"),
+    ("pi-h824", {"camera.outlier_probability": 0.05, "camera.outlier_size": 40.0}, "outliers"),
+]
+
+
+@pytest.mark.parametrize(("name", "changes", "cause"), LEAVE)
+def test_a_goal_that_runs_do_not_keep(name: str, changes: dict[str, Any], cause: str) -> None:
+    """The number is that of a run from the goal, and what the sentence names shows the cause."""
+    scenario = hs.load_scenario(name).updated(changes)
+    (line,) = said(scenario)
+    begin = [float(value) for value in re.findall(r"simulation.start.pose: \[(.*)\]", line)[0].split(", ")]
+    runs = [hs.simulate(scenario.updated({"simulation.start.pose": begin, "seed": seed})) for seed in range(1, 5)]
+    late = [float(np.abs(run.feature_error[run.time >= 0.5 * run.time[-1]]).max()) for run in runs]
+    (found,) = re.findall(r"up to ([\d.]+) px from it in their second half", line)
+    assert float(found) == pytest.approx(max(late), rel=0.5)  # of other noise
+    assert any(hs.diagnose(run).causes[0].cause == cause for run in runs)
+
+
+def test_goals_that_packaged_scenarios_keep() -> None:
+    """Those that settle keep it, but for legs that give 3 % more than the weight needs."""
+    for name in ("hand-eye", "moog-6dof2000e", "real-machine", "rough-road"):
+        assert said(hs.load_scenario(name)) == [], name
+    (line,) = said(hs.load_scenario("saturation"))
+    assert "before a target at rest end early (diverged)" in line

@@ -1,78 +1,146 @@
-"""Laws without viscous damping that do not keep the image at its goal, by runs: no linear loop describes them."""
+"""What runs that begin at the goal leave of it, before a target at rest and before one that moves."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from hexservo.findings.analysis.goal import find_goals
+from hexservo.findings.analysis.goal import GoalPose, find_goals
+from hexservo.findings.analysis.loop_of_scenario import side_of_target
 from hexservo.findings.analysis.scene import Scene
-from hexservo.findings.check_following import left_behind
 from hexservo.findings.check_target import leaves_reach
-from hexservo.findings.target_path import moving_keys
+from hexservo.findings.target_path import moving_keys, path_at
+from hexservo.findings.tracking_runs import long_enough
 from hexservo.run.batch import simulate_batch, whole
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.block import SAMPLED_MODE
+from hexservo.scenario.laws import Tracking
+from hexservo.scenario.rotations import quaternions_of_matrices, unit_rotation_vectors
 from hexservo.scenario.scenario import Scenario
-from hexservo.scenario.wording import number
+from hexservo.scenario.wording import number, quantity
+from hexservo.scenario.yaml import ScenarioError
 
 _RUNS = 4  # with different noise
+_MOST_STEPS = 100_000  # of a run
 _MOVED = 1.2  # times the error before a target at rest, above which that of a run is of the motion
+_AT_REST = {"target.motion": {"kind": "none"}, "base_motion": {"kind": "none"}, "target.frame": "base"}
 
 
 @dataclass(frozen=True)
 class _Late:
-    """What runs leave in their second half."""
+    """What some runs leave."""
 
-    error: float  # largest of a coordinate of the features [px], the median of the runs; inf where most end early
-    outcome: str  # of a run that ended early, or completed
+    scenario: Scenario
+    error: float  # [px], largest of a coordinate of the features in the second half, the median; inf where most end
+    largest: float  # [px], likewise of all that do not end early
+    unsettled: int  # of `_RUNS`
+    outcome: str  # of the first that ended early, or completed
 
 
 def of_hold(scene: Scene) -> Iterator[str]:
-    """Yield a sentence, in sampled mode, for a law without viscous damping of which runs from the goal leave it.
+    """Yield a sentence, in sampled mode, where runs that begin at the goal do not keep it.
 
-    Before a target at rest, and, where that is within the band, before one that moves.
+    Before a target at rest, and, where they keep that, before one that moves. At most 20 s and 100 000 steps of a
+    run are looked at. The law `tracking` before a target in motion has `check_tracking`.
     """
     scenario = scene.scenario
-    traits = scenario.controller.traits
-    if scenario.simulation.mode != SAMPLED_MODE or traits.viscous or traits.output != "wrench" or not scene.has_points:
-        return
-    goals = find_goals(scene)
+    goals = find_goals(scene) if scenario.simulation.mode == SAMPLED_MODE and scene.has_points else None
     if goals is None or not goals.reachable:
         return
-    begin = goals.best.view.pose.displacement_from(scene.home).tolist()
-    moving = scenario.updated({"simulation.start.pose": begin, "simulation.start.twist": [0.0] * 6})
     keys = moving_keys(scenario)
-    at_rest = moving.updated({"target.motion": {"kind": "none"}, "target.frame": "base"}) if keys else moving
-    resting = _late(at_rest)
-    if resting.error > scene.band:
-        yield _of_rest(scene, resting)
-    elif keys and leaves_reach(scene) is None:
-        followed = _late(moving).error
-        if max(scene.band, _MOVED * resting.error) < followed < math.inf:
-            yield left_behind(scene, followed, "in runs that begin at the goal", faster=True)
+    begin = {"simulation.start.pose": goals.best.displacement.tolist(), "simulation.start.twist": [0.0] * 6}
+    try:
+        runs = _short(scenario.updated(begin))
+        resting = _late(runs.updated(_AT_REST) if keys else runs)
+        if resting.unsettled:
+            yield _of_rest(scene, goals.best, resting)
+        elif keys and not isinstance(scenario.controller.gains, Tracking) and leaves_reach(scene) is None:
+            yield from _of_motion(scene, goals.best, resting, _late(runs))
+    except ScenarioError:
+        return  # the goal is no start: `check` names why
 
 
-def _of_rest(scene: Scene, late: _Late) -> str:
-    law = scene.scenario.controller.law
+def _of_rest(scene: Scene, goal: GoalPose, late: _Late) -> str:
     found = (
-        f"are up to {number(late.error, 2)} px from it in their second half (metrics.band is {number(scene.band)} px)"
-        if math.isfinite(late.error)
-        else f"end early ({late.outcome})"
+        f"end early ({late.outcome})"
+        if late.outcome != "completed"
+        else f"are not settled within {quantity(late.scenario.simulation.duration, 's')}: up to "
+        f"{number(late.largest, 2)} px from it in their second half, and metrics.band is {number(scene.band)} px"
     )
+    count = "" if late.unsettled == _RUNS else f"{late.unsettled} of {_RUNS} "
     return (
-        f"controller.law: runs that begin at the goal before a target at rest {found}; {law} has Coulomb damping "
-        "only, so that no linear loop shows what causes it: hexservo diagnose names it"
+        f"controller.law: {count}runs of {scene.scenario.controller.law} that begin at the goal before a target at "
+        f"rest {found}; {_named(goal)}"
     )
+
+
+def _of_motion(scene: Scene, goal: GoalPose, resting: _Late, moving: _Late) -> Iterator[str]:
+    left = moving.error
+    if not max(scene.band, _MOVED * resting.error) < left:
+        return
+    keys, law = " and ".join(moving_keys(scene.scenario)), scene.scenario.controller.law
+    if not math.isfinite(left):
+        yield (
+            f"{keys}: runs of {law} that begin at the goal end early with such a motion of the target "
+            f"({moving.outcome}), and not before one at rest; hexservo diagnose names the cause"
+        )
+        return
+    still = _still(scene, goal, moving.scenario)
+    worse = (
+        f", where a platform that stands still would have {number(still, 2)} px: the loop amplifies such a motion"
+        if left > still
+        else ""
+    )
+    faster = "" if worse else "a law of higher bandwidth, "
+    yield (
+        f"{keys}: {law} leaves up to about {number(left, 2)} px of such a motion of the target in runs that begin at "
+        f"the goal ({number(resting.error, 2)} px before one at rest){worse}. metrics.band is {number(scene.band)} px: "
+        f"{faster}a shorter camera.period or latency, or a slower motion leaves less"
+    )
+
+
+def _named(goal: GoalPose) -> str:
+    """Return what names the cause."""
+    begin = ", ".join(number(float(f"{x:.6g}"), 6) for x in goal.displacement)
+    return f"hexservo diagnose names the cause, with simulation.start.pose: [{begin}] for such a run"
+
+
+def _short(scenario: Scenario) -> Scenario:
+    """Return a scenario that lasts as long as is looked at, in whole servo periods, every sample logged."""
+    scenario = long_enough(scenario)
+    step, most = scenario.simulation.step, _MOST_STEPS
+    changes: dict[str, Any] = {"simulation.log_every": 1}
+    if scenario.simulation.duration > most * step:
+        changes["simulation.duration"] = most * step
+    return scenario.updated(changes)
 
 
 def _late(scenario: Scenario) -> _Late:
     seeds = np.asarray(scenario.seed + np.arange(_RUNS))
-    batch = whole(simulate_batch(scenario, {"seed": seeds}, log="trajectory", metrics=()))
-    late = batch.samples["feature_error"][:, batch.samples["feature_error"].shape[1] // 2 :]
-    outcomes = [str(outcome) for outcome in batch.outcome]
-    ended = np.asarray([outcome != "completed" for outcome in outcomes])
-    errors = np.where(ended, np.inf, np.abs(np.nan_to_num(late, nan=np.inf)).max(axis=(1, 2)))
-    return _Late(float(np.median(errors)), next((o for o in outcomes if o != "completed"), "completed"))
+    batch = whole(simulate_batch(scenario, {"seed": seeds}, log="trajectory", metrics=("settling_time",)))
+    features = batch.samples["feature_error"]
+    ended = batch.outcome != "completed"
+    errors = np.where(ended, np.inf, np.abs(_late_half(np.nan_to_num(features, nan=np.inf))).max(axis=(1, 2)))
+    unsettled = ended | np.isnan(batch.metrics["settling_time"])
+    first = str(batch.outcome[ended][0]) if ended.any() else "completed"
+    largest = float(errors[~ended].max(initial=0.0))
+    return _Late(scenario, float(np.median(errors)), largest, int(unsettled.sum()), first)
+
+
+def _late_half(samples: Array) -> Array:
+    """Return the second half of samples (n, m, k)."""
+    return samples[:, samples.shape[1] // 2 :]
+
+
+def _still(scene: Scene, goal: GoalPose, scenario: Scenario) -> float:
+    """Return the largest error of a platform that stays at the goal, in the second half of a run [px]; linear."""
+    duration, step = scenario.simulation.duration, scenario.simulation.step
+    path = path_at(scene, np.arange(duration / 2.0, duration, step))
+    origin = goal.view.pose.position
+    turn = unit_rotation_vectors(quaternions_of_matrices(path.attitude))
+    moved = side_of_target(scene.scenario) * np.hstack([path.places(origin) - origin, -turn])
+    return float(np.abs(moved @ goal.view.jacobian.T).max())

@@ -152,7 +152,7 @@ def following_of(scene: Scene) -> Following | None:
     At most 20 s of the motion are looked at, of a recording those about its fastest frame.
     """
     scenario = scene.scenario
-    moving = _thus_long(scenario)
+    moving = long_enough(scenario)
     first = displacements_of(moving.target.motion, np.zeros(1))[0].tolist()
     settles = max(_SETTLES[0], _SETTLES[1] / float(scenario.controller.gains.bandwidth))
     at_first = {"kind": "recorded", "samples": [first, first], "sample_period": settles}
@@ -171,7 +171,7 @@ def following_of(scene: Scene) -> Following | None:
     return Following(scene, moving.updated({**start, "simulation.log_every": 1}), rest, float(np.median(resting)))
 
 
-def _thus_long(scenario: Scenario) -> Scenario:
+def long_enough(scenario: Scenario) -> Scenario:
     """Return a scenario that lasts as long as is looked at; of a recording with the part about its fastest frame."""
     motion, duration = scenario.target.motion, scenario.simulation.duration
     if motion.kind == "sinusoid":
