@@ -546,6 +546,21 @@ TEST_CASE("dead zone: a driver within it changes no weight, one beyond it acts b
   CHECK(strength(Vector6<double>::Constant(kNaN)).array().isNaN().all());
 }
 
+TEST_CASE("projection: the weights of the start are those of the table within the limit, in every lane") {
+  FuzzyGains<double> gains;
+  gains.initial_scale << 0.05, -0.05, 0.002, 0.0, 1e-4, 0.3;
+  const FuzzyWeights<double> free = initial_weights(gains);
+  gains.weight_limit << 0.01, 0.02, 0.01, 1e-4, kInfinity, kInfinity;
+  const FuzzyWeights<double> weights = initial_weights(gains);
+  double largest = 0.0;
+  for (std::size_t r = 0; r < weights.size(); ++r)
+    for (int j = 0; j < 6; ++j) {
+      CHECK(weights[r](j) == std::clamp(free[r](j), -gains.weight_limit(j), gains.weight_limit(j)));
+      largest = std::max(largest, std::abs(free[r](j)) / gains.weight_limit(j));
+    }
+  CHECK(largest > 1.0);
+}
+
 TEST_CASE("projection: no weight, and so no output, is beyond its limit after a step; the others are untouched") {
   Random random(4412);
   CAPTURE(random.seed());

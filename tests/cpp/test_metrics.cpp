@@ -211,6 +211,10 @@ TEST_CASE("overshoot is the excursion of a coordinate beyond its goal, in px and
   CHECK(m.relative_overshoot == doctest::Approx(0.3).epsilon(1e-15));
   samples.resize(2);
   CHECK(metrics_of(samples, {2.0, 0.2, 0.0}, 0.1).overshoot == 0.0);
+  for (Sample<double>& s : samples) s.feature_error.setConstant(-0.5);  // none has a side
+  const Metrics<double> none = metrics_of(samples, {2.0, 0.2, 0.0}, 0.1);
+  CHECK_FALSE(std::signbit(none.overshoot));
+  CHECK_FALSE(std::signbit(none.relative_overshoot));
 }
 
 TEST_CASE("distances of features: from the image centre, and from the line through start and goal") {

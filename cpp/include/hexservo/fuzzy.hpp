@@ -296,13 +296,16 @@ Matrix7<S> weight_matrix(const FuzzyWeights<S>& weights, int axis) {
   return W;
 }
 
-/// omega(0) = s_0 times the rule table [N; N m].
+/// omega(0) = s_0 times the rule table, projected on the interval of the limit [N; N m].
 template <class S>
 FuzzyWeights<S> initial_weights(const FuzzyGains<S>& gains) {
   FuzzyWeights<S> weights;
   for (int row = 0; row < kTerms; ++row)
-    for (int column = 0; column < kTerms; ++column)
-      weights[rule(row, column)] = AxisVector<S>(Vector6<S>(gains.initial_scale * gains.table(row, column)));
+    for (int column = 0; column < kTerms; ++column) {
+      Vector6<S> weight = gains.initial_scale * gains.table(row, column);
+      for (int j = 0; j < kAxes; ++j) weight(j) = clip(weight(j), S(-gains.weight_limit(j)), gains.weight_limit(j));
+      weights[rule(row, column)] = AxisVector<S>(weight);
+    }
   return weights;
 }
 

@@ -216,9 +216,10 @@ class FeatureExcursions {
     m.peak_feature_distance = sqrt(distance_squared_);
     m.peak_line_deviation = deviation_;
     for (int i = 0; i < 2 * N; ++i) {
-      m.overshoot = max(m.overshoot, beyond_(i));
+      const S beyond = beyond_(i) + S(0.0);  // -0 is 0
+      m.overshoot = max(m.overshoot, beyond);
       m.relative_overshoot =
-          max(m.relative_overshoot, select(abs_of(start_(i)) > limit_, S(beyond_(i) / abs_of(start_(i))), S(0.0)));
+          max(m.relative_overshoot, select(abs_of(start_(i)) > limit_, S(beyond / abs_of(start_(i))), S(0.0)));
     }
   }
 
