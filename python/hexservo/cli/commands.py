@@ -34,6 +34,7 @@ from hexservo.cli.terminal import (
     expanded,
     interrupted,
     load,
+    load_as_written,
     path_option,
     plain_table,
     refusals,
@@ -233,13 +234,20 @@ def show(
 ) -> None:
     """Print a scenario as YAML.
 
-    All defaults are included, so that the output is a good start for a custom scenario.
+    All defaults are included, so that the output is a good start for a custom scenario. A tag, a grid and a goal pose
+    are comments at its head: by then they are points and an image, which do not follow other keys.
     """
     with errors_as_messages():
         from hexservo.scenario.flat import flat_text
+        from hexservo.scenario.yaml import dump_yaml
 
-        chosen = load(scenario, settings or [], camera)
-        write(flat_text(chosen) if flat else chosen.to_yaml(), encoding="utf-8")  # what a scenario is read with
+        chosen, replaced = load_as_written(scenario, settings or [], camera)
+        text = chosen.to_yaml()
+        if replaced:
+            lines = dump_yaml(replaced).splitlines()
+            head = "Read into the points and features below, which do not follow camera, home and pose any more; was:"
+            text = "".join(f"# {line}\n" for line in (head, *lines)) + text
+        write(flat_text(chosen) if flat else text, encoding="utf-8")  # what a scenario is read with
 
 
 @app.command()

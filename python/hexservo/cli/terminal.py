@@ -85,6 +85,13 @@ def load(scenario: str, settings: list[str], camera: str | None = None) -> hs.Sc
 
     A key that both change is that of --set.
     """
+    return load_as_written(scenario, settings, camera)[0]
+
+
+def load_as_written(
+    scenario: str, settings: list[str], camera: str | None = None
+) -> tuple[hs.Scenario, dict[str, object]]:
+    """Load a scenario as `load`, and return tag, grid and goal pose that were read into its points and features."""
     from hexservo.scenario.scenario import read_document
 
     document = _read_standard_input() if scenario == "-" else read_document(scenario)
@@ -103,7 +110,24 @@ def load(scenario: str, settings: list[str], camera: str | None = None) -> hs.Sc
         raise hs.ScenarioError(problems, " and ".join(options))
     if camera is not None:
         _warn_of_border(camera, document, loaded)
-    return loaded
+    return loaded, _read_into_others(document, changes, loaded)
+
+
+def _read_into_others(document: Document, changes: dict[str, object], loaded: hs.Scenario) -> dict[str, object]:
+    """Return the written keys of the target, by dotted key, that a loaded scenario has as points and features."""
+    from hexservo.scenario.plain import plain, put
+
+    written = plain(document.keys) if isinstance(document.keys, dict) else {}
+    for key, value in changes.items():
+        put(written, key, plain(value))
+    target = written.get("target")
+    held = target if isinstance(target, dict) else {}
+    names = ("tag", "grid", "desired_pose")
+    return {
+        f"target.{name}": held[name]
+        for name in names
+        if held.get(name) is not None and getattr(loaded.target, name) is None
+    }
 
 
 def _warn_of_border(camera: str, document: Document, loaded: hs.Scenario) -> None:
