@@ -743,6 +743,18 @@ def test_progress_may_be_a_bar_on_standard_error(smooth: hs.Scenario, capfd: pyt
     assert re.search(r"500 of 500 scenarios .* million steps/s", " ".join(err.split()))
 
 
+def test_gains_that_are_fitted_run_by_run_have_a_bar(capfd: pytest.CaptureFixture[str]) -> None:
+    scenario = hs.load_scenario("paper-composite").updated(
+        {"controller.composite.auto.bandwidth": 2.0, "simulation.duration": 0.01}
+    )
+    mass = np.linspace(0.05, 0.07, 120)
+    hs.simulate_batch(scenario, {"robot.mass": mass}, progress=True)
+    err = " ".join(capfd.readouterr().err.split())
+    assert re.search(r"120 of 120 scenarios have their gains .* 120 of 120 scenarios -", err)
+    hs.simulate_batch(scenario, {"robot.mass": mass})
+    assert capfd.readouterr().err == ""
+
+
 @pytest.mark.parametrize("inside", [False, True], ids=["in the core", "in the progress callback"])
 def test_ctrl_c_stops_at_once_and_keeps_what_is_finished(smooth: hs.Scenario, inside: bool) -> None:
     count = 4000

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import math
+import pickle
 import sys
 import warnings
 from typing import Any
@@ -397,3 +399,11 @@ def test_refusals(scenario: hs.Scenario, monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.delattr(hs.bridges, "gymnasium")
     with pytest.raises(ImportError, match=r"pip install 'hexservo\[gymnasium\]'"):
         hs.bridges.gymnasium(scenario)
+
+
+@pytest.mark.parametrize("duplicate", [copy.copy, copy.deepcopy, pickle.dumps])
+@pytest.mark.parametrize("count", [None, 2])
+def test_an_environment_is_not_copied(duplicate: Any, count: int | None) -> None:
+    environment = hs.bridges.gymnasium(hs.load_scenario("paper"), count)
+    with pytest.raises(TypeError, match=r"expected no copy and no pickling of an environment.* function that makes it"):
+        duplicate(environment)

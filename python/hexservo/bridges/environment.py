@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,7 +31,18 @@ _TWIST_SCALE = np.repeat([0.1, 0.5], 3)  # [m/s; rad/s]
 _MODES = {"next_step": "NEXT_STEP", "same_step": "SAME_STEP", "disabled": "DISABLED"}
 
 
-class HexapodVectorEnv(_vector.VectorEnv):  # type: ignore[misc]
+class _Uncopied:
+    """An environment whose plants are of the core, so that a copy would move those of the first."""
+
+    def __reduce_ex__(self, protocol: object) -> NoReturn:
+        """Refuse `copy` and `pickle`, which ask for it."""
+        raise TypeError(
+            f"{type(self).__name__}: expected no copy and no pickling of an environment, whose plants are of the core; "
+            "make another one, or hand over a function that makes it: lambda: hs.bridges.gymnasium(scenario)"
+        )
+
+
+class HexapodVectorEnv(_Uncopied, _vector.VectorEnv):  # type: ignore[misc]
     """Runs of one scenario side by side as a Gymnasium vector environment; `gymnasium` describes it."""
 
     def __init__(
@@ -237,7 +248,7 @@ class HexapodVectorEnv(_vector.VectorEnv):  # type: ignore[misc]
         return {"final_obs": observations, "_final_obs": over, "final_info": final, "_final_info": over}
 
 
-class HexapodEnv(gym.Env):  # type: ignore[misc]
+class HexapodEnv(_Uncopied, gym.Env):  # type: ignore[misc]
     """One run of a scenario as a Gymnasium environment; `gymnasium` describes it."""
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 (Gymnasium's own form)

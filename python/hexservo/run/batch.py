@@ -283,7 +283,7 @@ def simulate_batch(
     count = max(len(values) for values in arrays.values())
     if controller is not None:
         return _run_custom(scenario, arrays, count, log, threads, progress, controller, asked)
-    varied = fitted_variations(scenario, arrays)
+    varied = fitted_variations(scenario, arrays, bar=progress is True)
     rows = [(key, np.ascontiguousarray(values.reshape(len(values), -1))) for key, values in varied.items()]
     with _reporting(progress) as report:
         run = _core.simulate_batch(

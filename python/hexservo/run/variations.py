@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hexservo.run.progress import reporting
 from hexservo.scenario.arrays import Array, holds_no_number
 from hexservo.scenario.blocks import SIDES, Blocks, circle_keys
 from hexservo.scenario.fitted import (
@@ -32,6 +33,7 @@ from hexservo.scenario.yaml import ScenarioError
 
 __all__ = []
 
+_REPORTED = 50  # gains are computed between two updates of a bar
 _AUTO_UNITS = {"auto.bandwidth": "Hz", "auto.damping": "1"}  # within the block of a law; the core has no such keys
 
 
@@ -76,11 +78,13 @@ def _require_valid(scenario: Scenario, changes: Mapping[str, Any], index: int) -
         raise ScenarioError([f"scenario {index}: {problem}" for problem in error.problems]) from None
 
 
-def fitted_variations(scenario: Scenario, arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+def fitted_variations(
+    scenario: Scenario, arrays: Mapping[str, NDArray[Any]], *, bar: bool = False
+) -> dict[str, NDArray[Any]]:
     """Return variations for the core: the gains that fit each run (docs/gains.md) in place of the keys of `auto`.
 
     Each run gets the gains that `Scenario.updated` would fill in. Where machine, camera or target vary, they are
-    computed run by run, about 1 ms each.
+    computed run by run, 1 to 2 ms each, below a bar where one is asked for.
 
     Raises
     ------
@@ -106,12 +110,15 @@ def fitted_variations(scenario: Scenario, arrays: Mapping[str, NDArray[Any]]) ->
         count = max(len(values) for values in arrays.values())
         bandwidths, dampings = (np.broadcast_to(values, count) for values in (bandwidth, damping))
         rows = []
-        for index in range(count):
-            row = changes_of_run({key: others[key] for key in machines}, law, index)
-            try:
-                rows.append(fitted_gains(law, machine_with(scenario, row), bandwidths[index], dampings[index]))
-            except ValueError as error:
-                raise ValueError(f"scenario {index}: {error}") from None
+        with reporting(bar, "scenarios have their gains") as report:
+            for index in range(count):
+                row = changes_of_run({key: others[key] for key in machines}, law, index)
+                try:
+                    rows.append(fitted_gains(law, machine_with(scenario, row), bandwidths[index], dampings[index]))
+                except ValueError as error:
+                    raise ValueError(f"scenario {index}: {error}") from None
+                if len(rows) % _REPORTED == 0 or len(rows) == count:
+                    report(len(rows), count)
         found = {key: np.stack([row[key] for row in rows]) for key in left}
     else:
         found = fitted_gains(law, machine_of(scenario), np.atleast_1d(bandwidth), damping)
