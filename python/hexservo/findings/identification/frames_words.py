@@ -30,6 +30,7 @@ def section(found: CameraFit) -> Section:
         ("a frame is later by at most", _jitter(found), "ms"),
         ("exposure times are late by", with_interval(found.stamps and found.stamps.times(1e3)), "ms"),
         ("frames that did not arrive", with_interval(found.dropout and found.dropout.times(100)), "%"),
+        *([("points that frames lack", number(100 * found.lost_points), "%")] if found.incomplete else []),
         ("noise of a coordinate", with_interval(found.noise) if found.noise_is_of_camera else _UNKNOWN, "px"),
         *([("pixels are rounded to", number(found.rounding), "px")] if found.of_rounding > SEEN else []),
         *_rows_of_outliers(found.outliers),
@@ -100,6 +101,12 @@ def doubts(found: CameraFit) -> list[str]:
     if not found.explains or found.at_edge:
         return []
     words, stamps = [], found.stamps
+    if found.lost_points > SEEN:
+        words.append(
+            f"{found.incomplete} of {found.frames - found.repeated} frames that arrived lack points, together "
+            f"{number(100 * found.lost_points)} % of all; the fit has the others. The scenario has no such loss of "
+            "single points: `camera.dropout` is that of whole frames."
+        )
     if stamps is not None and found.stamps_are_wrong and found.latency_is_known:
         words.append(
             f"The exposure times do not agree with the joints: frames were taken {number(1e3 * abs(stamps.value))} ms "
