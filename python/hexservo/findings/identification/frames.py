@@ -16,7 +16,6 @@ from scipy.optimize import least_squares
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.identification.drives import Drives
-from hexservo.findings.identification.frame_clock import clock
 from hexservo.findings.identification.frames_noise import (
     Scatter,
     Weights,
@@ -29,6 +28,7 @@ from hexservo.findings.identification.frames_noise import (
     spline_shares,
 )
 from hexservo.findings.identification.frames_outliers import NoOutliers, Outliers, outliers_of
+from hexservo.findings.identification.frames_overwritten import clock_of
 from hexservo.findings.identification.frames_repeated import repeats
 from hexservo.findings.identification.interval import Interval, correlated, half_width, robust_deviations
 from hexservo.findings.identification.joint_motion import JointMotion
@@ -83,6 +83,7 @@ class CameraFit(Part):
     target_deviations: Array = field(default_factory=lambda: np.full(6, np.inf))  # standard, of these [m; rad]
     stragglers: int = 0  # frames whose latency is far from that of the others: they do not count in latency and jitter
     repeated: int = 0  # frames that repeat the one before: they do not count
+    overwritten: int = 0  # frames that no line has, since another one arrived before it: they are none of `dropout`
     incomplete: int = 0  # of the others, those that lack points
     lost_points: float = 0.0  # share of the points of the others that they lack
     correlated: float = 1.0  # frames over which what the fit leaves is, in half of the coordinates; 1 of white noise
@@ -174,9 +175,11 @@ def fit_camera(log: Log, scene: Scene, drives: Drives | None = None) -> CameraFi
         if len(frames.arrival) < _FEWEST:
             return CameraFit(count, open=f"expected at least {_FEWEST} frames, got {repeated} of {count} repeated")
     stamped = frames.exposure is not None
-    period, dropout = clock(frames.arrival if frames.exposure is None else frames.exposure, log.time) or (None, None)
+    clock = clock_of(frames, log.time)
+    period, dropout = (None, None) if clock is None else (clock.period, clock.dropout)
     seen = frames.seen
-    lost = {"incomplete": int((~seen).any(axis=1).sum()), "lost_points": float((~seen).mean())}
+    lost: dict[str, Any] = {"overwritten": 0 if clock is None else clock.overwritten}
+    lost |= {"incomplete": int((~seen).any(axis=1).sum()), "lost_points": float((~seen).mean())}
     if (shown := int(seen.any(axis=1).sum())) < _FEWEST:
         reason = f"expected at least {_FEWEST} frames with a point of the target, got {shown} of {count}"
         return CameraFit(count, period, dropout, repeated=repeated, open=reason, **lost)

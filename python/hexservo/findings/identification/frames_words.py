@@ -49,7 +49,13 @@ def section(found: CameraFit) -> Section:
     return Section(
         "camera",
         _TITLE,
-        [*_of_outliers(found), *_sentences(found), *_of_rounding(found), *_of_repeated(found)],
+        [
+            *_of_outliers(found),
+            *_sentences(found),
+            *_of_rounding(found),
+            *_of_repeated(found),
+            *_of_overwritten(found),
+        ],
         (table,),
         verdict,
         data,
@@ -190,6 +196,16 @@ def _of_repeated(found: CameraFit) -> list[str]:
     return [
         f"{found.repeated} of {found.frames} frames repeat the one before, equal in every coordinate: they do "
         "not count, and the period is that of the others."
+    ]
+
+
+def _of_overwritten(found: CameraFit) -> list[str]:
+    if not found.overwritten or found.period is None:
+        return []
+    return [
+        f"The camera takes a frame every {number(1e3 * found.period.value)} ms, more often than the log has lines: "
+        f"{found.overwritten} frames arrived before another one of the same line, which has the newest. A scenario has "
+        "one frame a tick at most."
     ]
 
 
