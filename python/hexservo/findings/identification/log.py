@@ -11,10 +11,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from numbers import Real
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import comb
 
 from hexservo.findings.identification.interval import NORMAL
@@ -67,15 +65,13 @@ class Frames:
     def __post_init__(self) -> None:
         """Make arrays of lists, and refuse what is not numbers."""
         _make_arrays(self, ("features", "arrival") if self.exposure is None else ("features", "arrival", "exposure"))
-        if self.features.ndim == 2:  # others are refused by the log
-            half = np.isnan(self.features)
-            half[:, : half.shape[1] // 2 * 2] |= np.flip(_pairs(half), axis=2).reshape(len(half), -1)
-            self.features[half] = np.nan
+        if _has_pairs(self.features):  # others are refused by the log
+            self.features[np.repeat(~self.seen, 2, axis=1)] = np.nan
 
     @property
     def seen(self) -> Mask:
         """Which points the frames have, (m, p)."""
-        return np.asarray(np.isfinite(_pairs(self.features)).all(axis=2))
+        return np.asarray(~np.isnan(self.features.reshape(len(self.features), -1, 2)).any(axis=2))
 
     def only(self, frames: Mask) -> Frames:
         """Return some of the frames, (m,)."""
@@ -254,9 +250,8 @@ def predicted_share(commands: Array, joints: Array, predicted: Array, part: slic
     return 1.0 - float(np.mean((joints[part] - predicted) ** 2)) / float(np.var(joints[part]))
 
 
-def _pairs(columns: NDArray[Any]) -> NDArray[Any]:
-    """Return columns of an image (m, 2p) as those of points, (m, p, 2)."""
-    return columns[:, : columns.shape[1] // 2 * 2].reshape(len(columns), -1, 2)
+def _has_pairs(features: Array) -> bool:
+    return features.ndim == 2 and features.shape[1] % 2 == 0
 
 
 def _make_arrays(record: Frames | Log, names: Sequence[str]) -> None:
@@ -300,7 +295,7 @@ def _fault_of_order(time: Array, rows: str) -> tuple[int, str] | None:
 
 def _check_frames(frames: Frames, time: Array) -> None:
     count = len(frames.arrival)
-    if frames.features.ndim != 2 or len(frames.features) != count or np.isinf(frames.features).any():
+    if not _has_pairs(frames.features) or len(frames.features) != count or np.isinf(frames.features).any():
         raise ValueError(
             f"features: expected ({count}, 2p) finite numbers, NaN of lost points, got shape {frames.features.shape}"
         )
@@ -487,9 +482,10 @@ def _frames(table: Mapping[str, Array], points: int, numbered: Sequence[int], so
     if not came.any():
         return None
     every = table.get(_ARRIVAL, table[_TIME])
-    # A frame of which all points are lost has a new arrival; a program that writes its own time at each line has none.
-    before = np.fmax.accumulate(np.concatenate([[-np.inf], every[:-1]]))
-    came |= (every > before) & (every != table[_TIME]) & np.isfinite(table.get(_EXPOSURE, every))
+    # A frame of which all points are lost has a new arrival; the time of a line is none in a log that has it in each.
+    new = every > np.fmax.accumulate(np.concatenate([[-np.inf], every[:-1]]))
+    new &= (every != table[_TIME]) | np.isnan(every).any()
+    came |= new & np.isfinite(table.get(_EXPOSURE, every))
     arrival, exposure = every[came], table[_EXPOSURE][came] if _EXPOSURE in table else None
     if not np.isfinite(arrival).all() or not (exposure is None or np.isfinite(exposure).all()):
         raise ScenarioError("expected arrival and exposure of every frame, got lines with an image without", source)
