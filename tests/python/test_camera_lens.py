@@ -337,6 +337,27 @@ def test_a_calibration_of_ros_is_read(tmp_path: Path) -> None:
     assert camera_from_file(path) == camera_of("brown_conrady")
 
 
+@pytest.mark.parametrize(
+    "coefficients",
+    [
+        "distortion_model: ''\nd: []\n",  # CameraInfo of ROS, of images without distortion
+        "distortion_model: plumb_bob\nD: []\n",
+        "distortion_coefficients: !!opencv-matrix\n   rows: 0\n   cols: 0\n   dt: d\n   data: []\n",
+        "distortion_coefficients: {rows: 0, cols: 1, data: []}\n",
+    ],
+)
+def test_a_calibration_without_coefficients_has_no_distortion(tmp_path: Path, coefficients: str) -> None:
+    """As OpenCV takes an empty matrix of them."""
+    found = read_calibration(tmp_path, f"{SQUARE}image_width: 1280\nimage_height: 960\n{coefficients}")
+    assert found == hs.camera_from_opencv(MATRIX, None, SIZE) == hs.camera_from_opencv(MATRIX, np.array([]), SIZE)
+    assert hs.camera_from_opencv(MATRIX, np.zeros((0, 1)), SIZE)["distortion"]["brown_conrady"] is None
+    points = np.array([[[0.1, -0.05, 1.0]]])
+    seen = cv2.projectPoints(points, np.zeros(3), np.zeros(3), np.array(MATRIX), np.zeros((0, 1)))[0]
+    np.testing.assert_allclose(seen.ravel(), (np.array(MATRIX) @ points.ravel())[:2])
+    with pytest.raises(hs.ScenarioError, match=r"got none; give \[0, 0, 0, 0\] for an equidistant lens"):
+        read_calibration(tmp_path, f"{SQUARE}distortion_model: fisheye\nD: []\n")
+
+
 SQUARE = "camera_matrix: [[905.5, 0, 650.25], [0, 903.0, 470.75], [0, 0, 1]]\n"
 
 

@@ -14,7 +14,7 @@ import hexservo as hs
 from hexservo.cli.commands import app
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.evidence import Table
-from hexservo.findings.identification.changes import changes_of, faults_of
+from hexservo.findings.identification.changes import changes_of, faults_of, in_milliseconds
 from hexservo.findings.identification.drives import MOST_DELAY, Drives, fit_drives
 from hexservo.findings.identification.drives_words import with_interval
 from hexservo.findings.identification.frames import CameraFit, fit_camera
@@ -381,3 +381,31 @@ def test_a_timeout_that_measured_times_exceed_is_raised_and_named(
     assert any("`camera.timeout` of 100 ms conflicts" in sentence for sentence in section.sentences)
     room = hs.identify(log, machine.updated({"camera.timeout": 0.2}))
     assert "camera.timeout" not in room.changes
+
+
+def test_times_in_milliseconds_that_are_possible_seconds_are_named(
+    paper: hs.Scenario, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A loop of 2 kHz has ticks of 0.5 ms, and a log with 0.5 s between ticks is not refused."""
+    machine = hs.load_scenario("pi-h824-positions")  # whose drives have 10 Hz
+    random = np.random.default_rng(SEED)
+    commands = np.full((2500, 6), 0.2)
+    commands[:, 3] += wandering(random, 2500, 0.5, 1e-3, 200.0)[:, 3]
+    in_ms = record(commands, 0.5, [Drive(0.01, 0.8, 4)] * 6, 1e-7, random)  # 10 Hz and 1.25 s in ms
+    found = fit_drives(in_ms, METRES, delays=(4,))
+    assert in_milliseconds(machine, found) == (pytest.approx(0.01, rel=0.01), 10.0, pytest.approx(1250.0))
+    as_slow = machine.updated({"actuators.position.bandwidth": 0.02})
+    for other in (as_slow, paper):  # the legs of the latter take forces
+        assert in_milliseconds(other, found) is None
+    assert in_milliseconds(machine, replace(found, fitted=70.0, apart=30.0)) is None  # a slow machine in 100 s
+
+    monkeypatch.setattr("hexservo.findings.identification.fit_drives", lambda *_, **__: found)
+    monkeypatch.setattr("hexservo.findings.identification.require_reach", lambda *_: None)
+    section = hs.identify(in_ms, machine).sections()[-1]
+    assert section.verdict == "warning"
+    assert section.sentences[0] == (
+        "Are the times of the log in ms? As seconds it has 1250 s, and drives of 0.01 Hz, 1000 times slower than those "
+        "that were given (actuators.position.bandwidth, 10 Hz). If so, divide the times by 1000, arrival and exposure "
+        "too."
+    )
+    assert not any("in ms?" in words for words in hs.identify(in_ms, as_slow).sections()[-1].sentences)

@@ -44,6 +44,8 @@ from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import apart, number, quantity
 
 _OFF_CENTRE = 0.15  # of the image, most that the principal point of a usual lens is off its centre
+_OF_OTHER_SIZE = 0.05  # the same along both axes at once, where it is near the centre of an image of height x width
+_NEARER = 0.5  # of its distance from the image's centre, most that it is then from the other one
 
 _T = TypeVar("_T")
 
@@ -250,12 +252,37 @@ def _of_principal_point(scenario: Scenario) -> Iterator[str]:
         return
     size, point = np.asarray(camera.image_size), np.asarray(camera.principal_point)
     centre = (size - 1.0) / 2.0
-    if (np.abs(point - centre) > _OFF_CENTRE * size).any():
+    if has_sides_exchanged(size, point):
+        width, height = (f"{side:.0f}" for side in size)
+        other, given = (number(float(np.linalg.norm(point - one))) for one in (centre[::-1], centre))
+        yield (
+            f"camera.principal_point: ({number(point[0], 4)}, {number(point[1], 4)}) px is {other} px from the centre "
+            f"of an image of {height} x {width} px, and {given} px from that of camera.image_size, {width} x {height} "
+            "px: the width comes first in it"
+        )
+    elif (np.abs(point - centre) > _OFF_CENTRE * size).any():
         yield (
             f"camera.principal_point: ({number(point[0])}, {number(point[1])}) px is more than {_OFF_CENTRE:.0%} of "
             f"the image from its centre, ({number(centre[0], 4)}, {number(centre[1], 4)}) px; camera.image_size is "
             f"width and height of the calibrated image, here {size[0]:.0f} x {size[1]:.0f} px"
         )
+
+
+def has_sides_exchanged(size: Array, point: Array) -> bool:
+    """Return whether a principal point is rather that of an image whose width is the height of this one.
+
+    It is off the centre along both axes by more than usual lenses are, and at most half as far from the other centre.
+
+    Parameters
+    ----------
+    size
+        (2,) width and height of the image [px].
+    point
+        (2,) principal point, from the centre of the first pixel [px].
+    """
+    off, of_other = point - (size - 1.0) / 2.0, point - (size[::-1] - 1.0) / 2.0
+    unusual = bool((np.abs(off) > _OF_OTHER_SIZE * size).all())
+    return unusual and float(np.linalg.norm(of_other)) < _NEARER * float(np.linalg.norm(off))
 
 
 def _of_duration(scenario: Scenario) -> Iterator[str]:

@@ -78,7 +78,8 @@ def camera_from_opencv(
         (3, 3) camera matrix [px], without skew.
     distortion
         Coefficients [1] in OpenCV's order: of ``cv2.calibrateCamera`` k1, k2, p1, p2 and k3 (4 or 5 of them; more only
-        if they are zero), of ``cv2.fisheye.calibrate`` k1 to k4; None: no distortion.
+        if they are zero), of ``cv2.fisheye.calibrate`` k1 to k4; None: no distortion. Without any, ``[]``, there is
+        none either, but of a fisheye lens, whose image is none of a pinhole with zeros.
     size
         (width, height) [px]: the border of the image, for scenarios in sampled mode; None: no border.
     model
@@ -107,7 +108,7 @@ def camera_from_opencv(
     if model not in camera["distortion"]:
         raise ValueError(f'model: expected "brown_conrady" or "kannala_brandt", got {shown_value(model)}')
     if distortion is not None:
-        camera["distortion"][model] = _coefficients(distortion, model)
+        camera["distortion"][model] = _coefficients(distortion, model) or None
     if size is not None:
         width, height = _numbers("size", size, (2,)).tolist()
         if not (width > 0.0 and height > 0.0):
@@ -282,14 +283,22 @@ def _matrix(name: str, value: Any) -> Array:
     if not (isinstance(rows, int) and isinstance(columns, int) and isinstance(data, list)):
         raise ValueError(f"{name}: expected rows, cols and data, got {shown_value(value)}")
     numbers = _numbers(f"{name}.data", data, None)
-    if numbers.ndim != 1 or numbers.size != rows * columns or rows < 1:
+    if numbers.ndim != 1 or numbers.size != rows * columns or rows < 0:
         raise ValueError(f"{name}.data: expected {rows} x {columns} numbers, got {numbers.size}")
     return numbers.reshape(rows, columns)
 
 
 def _coefficients(distortion: ArrayLike, model: str) -> list[float]:
+    """Return all coefficients of a model; none where none are given, as ROS and OpenCV have an undistorted image."""
     numbers = _numbers("distortion", distortion, None).ravel()
     count = _BROWN_CONRADY if model == "brown_conrady" else _KANNALA_BRANDT
+    if not len(numbers):
+        if model == "kannala_brandt":
+            raise ValueError(
+                "distortion: expected k1 to k4 (4 numbers), got none; give [0, 0, 0, 0] for an equidistant lens, "
+                "or another model for images without distortion"
+            )
+        return []
     if len(numbers) < 4 or np.any(numbers[count:]):
         what = "k1, k2, p1, p2 and k3 (4 or 5 numbers)" if model == "brown_conrady" else "k1 to k4 (4 numbers)"
         raise ValueError(f"distortion: expected {what}, got {shown_value(numbers.tolist())}")

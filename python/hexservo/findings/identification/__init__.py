@@ -14,6 +14,7 @@ from hexservo.findings.identification.changes import (
     Changes,
     changes_of,
     faults_of,
+    in_milliseconds,
     in_whole_ticks,
     of_law,
     open_keys,
@@ -77,7 +78,9 @@ class Identification(Findings):
         times = times_of_drives(self.drives, self.changes)
         if self.camera is not None:
             times |= times_of_camera(self.camera, self.machine)
-        return [*parts, Changes(self.changes, self.rounded, given, verdicts, self.faults, times, left).section()]
+        seconds = in_milliseconds(self.machine, self.drives)
+        changes = Changes(self.changes, self.rounded, given, verdicts, self.faults, times, seconds, left)
+        return [*parts, changes.section()]
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain data, for JSON: keys, and each section's numbers."""

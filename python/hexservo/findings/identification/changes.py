@@ -34,6 +34,8 @@ _FEWEST_TICKS = {  # of the times that a scenario has in whole ticks
 }
 _OF_DRIVES = ("actuators.delay", "actuators.position.bandwidth", "actuators.position.damping")
 _SCATTER = ("camera.noise", "camera.quantisation")
+_SLOWER = (200.0, 5000.0)  # times that drives are slower than those given, as by times in ms that are read as seconds
+_LONG = 1000.0  # [s]: a log in ms of a second or more, read so; half a minute is plenty
 _WHOLE = 1e-9  # of a tick, or of the time: what is not seen of a difference
 
 
@@ -47,6 +49,7 @@ class Changes(Part):
     verdicts: Mapping[str, Verdict]  # of the parts that the log was searched for, by title
     faults: Mapping[str, Any]  # keys that only a diagnosis of the log has
     times: Mapping[str, float]  # of `identified`, those of drives and camera before they were rounded [s]
+    milliseconds: tuple[float, float, float] | None = None  # of `in_milliseconds`
     open: Sequence[str] = ()  # keys of the drives that the log was searched for, and does not determine
 
 
@@ -70,6 +73,21 @@ def changes_of(
         if motors.delay < MOST_DELAY:
             changes["actuators.delay"] = _whole(motors.delay * step, step)
     return changes
+
+
+def in_milliseconds(machine: Scenario, drives: Drives) -> tuple[float, float, float] | None:
+    """Return why the times of a log seem to be in ms: bandwidth found and given [Hz], and its length [s]; else None.
+
+    A loop of 2 kHz or more has ticks in ms that are possible seconds, and a log of seconds is then one of an hour or
+    so. Its drives are a thousand times slower than they are, as no machine's are beside its data sheet: between 200
+    and 5000 times, since the given ones may be wrong as well.
+    """
+    response = response_of(drives) if drives.moved and drives.explains else None
+    length, given = drives.fitted + drives.apart, machine.actuators.position.bandwidth
+    if response is None or machine.actuators.kind != "position" or length < _LONG:
+        return None
+    least, most = _SLOWER
+    return (response.bandwidth, given, length) if least <= given / response.bandwidth <= most else None
 
 
 def of_law(machine: Scenario, changes: Mapping[str, Any]) -> dict[str, Any]:

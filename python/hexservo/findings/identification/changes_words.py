@@ -16,7 +16,7 @@ def section(found: Changes) -> Section:
     rows = [[key, _became(found, key), _text(found.given[key])] for key in found.identified]
     verdicts = set(found.verdicts.values())
     verdict: Verdict = "bad" if "bad" in verdicts else "good" if verdicts == {"good"} else "warning"
-    if _TIMEOUT in found.identified and verdict == "good":
+    if (_TIMEOUT in found.identified or found.milliseconds is not None) and verdict == "good":
         verdict = "warning"
     rows += [[key, _left(found, key), _text(found.given[key])] for key in dict.fromkeys([*found.open, *found.rounded])]
     table = Table(
@@ -28,7 +28,7 @@ def section(found: Changes) -> Section:
     return Section(
         "keys",
         "The scenario",
-        [_sentence(found, verdict), *_of_timeout(found), *_of_faults(found)],
+        [*_of_milliseconds(found), _sentence(found, verdict), *_of_timeout(found), *_of_faults(found)],
         (table,),
         verdict,
         {"changes": dict(found.identified), "rounded": dict(found.rounded), "faults": dict(found.faults)},
@@ -40,6 +40,8 @@ def _sentence(found: Changes, verdict: Verdict) -> str:
         sees = "moves and sees" if "Camera" in found.verdicts else "moves"
         return f"The scenario with these keys {sees} as the log does; law and gains are those that were given."
     doubtful = [title for title, one in found.verdicts.items() if one != "good"]
+    if not doubtful and _TIMEOUT not in found.identified:
+        return "The scenario with these keys moves as the log does if its times are in seconds."
     if not doubtful:
         return "The scenario with these keys moves and sees as the log does, with a longer timeout than the machine's."
     parts = " and ".join(f'"{title}"' for title in doubtful)
@@ -47,6 +49,17 @@ def _sentence(found: Changes, verdict: Verdict) -> str:
         f"See {parts} before you rely on this scenario: what the log does not determine, or what no model predicts, "
         "is that of the scenario that was given, as law and gains are."
     )
+
+
+def _of_milliseconds(found: Changes) -> list[str]:
+    if found.milliseconds is None:
+        return []
+    bandwidth, given, length = found.milliseconds
+    return [
+        f"Are the times of the log in ms? As seconds it has {number(length)} s, and drives of {number(bandwidth)} Hz, "
+        f"{number(given / bandwidth)} times slower than those that were given (actuators.position.bandwidth, "
+        f"{number(given)} Hz). If so, divide the times by 1000, arrival and exposure too."
+    ]
 
 
 def _of_timeout(found: Changes) -> list[str]:

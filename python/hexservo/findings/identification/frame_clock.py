@@ -31,7 +31,7 @@ _SAME = 1e-6  # of a tick
 _RESOLVED = 1e-6  # of the periods that are searched
 
 
-def clock(times: Array, ticks: Array | None = None) -> tuple[Interval, Interval] | None:
+def clock(times: Array, ticks: Array | None = None, below: float = np.inf) -> tuple[Interval, Interval] | None:
     """Return the period of frames [s] and the share of them that is missing, both with 95 % intervals.
 
     The line through the times of numbered frames gives the period, and the gaps in the numbers the missing frames, with
@@ -44,6 +44,8 @@ def clock(times: Array, ticks: Array | None = None) -> tuple[Interval, Interval]
     ticks
         (n,) times of the log's ticks [s]. Frames that all have times of ticks are known no better than to a tick: if
         their period is a whole number of them, the times alone do not show that they are rounded.
+    below
+        Periods that are longer are not searched [s].
 
     Returns
     -------
@@ -55,13 +57,13 @@ def clock(times: Array, ticks: Array | None = None) -> tuple[Interval, Interval]
         return None
     span = float(distinct[-1] - distinct[0])
     lowest = _MARGIN * (len(distinct) - 1) / span
-    low, highest = lowest, (len(distinct) - 1) / span / (1.0 - _MOST_LOST)
+    low, highest = max(lowest, 1.0 / below), (len(distinct) - 1) / span / (1.0 - _MOST_LOST)
     while low < highest:
         period = _period_between(distinct, low, _BAND * low)
         if period is not None:
             return (
                 None
-                if _is_harmonic(distinct, period, lowest)
+                if _is_harmonic(distinct, period, max(lowest, 1.0 / below))
                 else _line(np.sort(times), period, _tick_of(times, ticks))
             )
         low *= _BAND
@@ -71,7 +73,7 @@ def clock(times: Array, ticks: Array | None = None) -> tuple[Interval, Interval]
 def _is_harmonic(times: Array, period: float, lowest: float) -> bool:
     """Return whether a multiple of the period is one as well, which was not found because of its jitter."""
     multiples = range(2, int(1.0 / (period * lowest)) + 1)
-    return any(len(times) * _order(times, many * period) ** 2 > -np.log(_CHANCE) for many in multiples)
+    return any(len(times) * order_of(times, many * period) ** 2 > -np.log(_CHANCE) for many in multiples)
 
 
 def _period_between(times: Array, low: float, high: float) -> float | None:
@@ -80,12 +82,12 @@ def _period_between(times: Array, low: float, high: float) -> float | None:
     some = times[:count] - times[0]
     lobe = 1.0 / some[-1]  # beyond the band: one that peaks there is not taken for its slope within
     tried = np.arange(low, high + 3 * lobe, lobe / _PER_LOBE)
-    order = np.array([_order(some, 1.0 / frequency) for frequency in tried])
+    order = np.array([order_of(some, 1.0 / frequency) for frequency in tried])
     period = 1.0 / float(tried[int(np.argmax(order))])
     while True:  # by_chance: Rayleigh's test, for as many frequencies as all bands have
         period = _refined(times[:count], period)
-        scatter = _scatter(times[:count], period)
-        by_chance = _PER_LOBE * count / (1.0 - _MOST_LOST) * np.exp(-count * _order(times[:count], period) ** 2)
+        scatter = scatter_about(times[:count], period)
+        by_chance = _PER_LOBE * count / (1.0 - _MOST_LOST) * np.exp(-count * order_of(times[:count], period) ** 2)
         if scatter > _MOST_SCATTER * period or by_chance > _CHANCE:
             return None
         if count == len(times):
@@ -93,12 +95,12 @@ def _period_between(times: Array, low: float, high: float) -> float | None:
         count = min(2 * count, len(times))
 
 
-def _order(times: Array, period: float) -> float:
+def order_of(times: Array, period: float) -> float:
     """Return how alike the phases are: 1 if all are the same, about 1/sqrt(m) if they have no order."""
     return float(abs(np.exp(2j * np.pi * times / period).mean()))
 
 
-def _numbers(times: Array, period: float) -> Array:
+def numbers_of(times: Array, period: float) -> Array:
     """Return the number of each frame of a period: the middle of their phases belongs to a whole number."""
     phase = float(np.angle(np.exp(2j * np.pi * (times - times[0]) / period).mean())) / (2 * np.pi)
     return np.asarray(np.rint((times - times[0]) / period - phase))
@@ -106,25 +108,25 @@ def _numbers(times: Array, period: float) -> Array:
 
 def _refined(times: Array, period: float) -> float:
     """Return the period of the line through the frames, numbered by it."""
-    numbers = _numbers(times, period)
+    numbers = numbers_of(times, period)
     for _ in range(_ROUNDS):
         if numbers[-1] == numbers[0]:
             break
         period = float(np.polyfit(numbers, times - times[0], 1)[0])
-        before, numbers = numbers, _numbers(times, period)
+        before, numbers = numbers, numbers_of(times, period)
         if (numbers == before).all():
             break
     return period
 
 
-def _scatter(times: Array, period: float) -> float:
+def scatter_about(times: Array, period: float) -> float:
     """Return the RMS distance [s] of frames from the line that numbers them."""
-    left = times - times[0] - period * _numbers(times, period)
+    left = times - times[0] - period * numbers_of(times, period)
     return float(np.std(left))
 
 
 def _line(times: Array, period: float, tick: float) -> tuple[Interval, Interval]:
-    numbers = _numbers(times, period)
+    numbers = numbers_of(times, period)
     slope, start = np.polyfit(numbers, times - times[0], 1)
     left = times - times[0] - slope * numbers - start
     variance = correlated(left) * float(left @ left) / (len(times) - 2)
@@ -132,9 +134,13 @@ def _line(times: Array, period: float, tick: float) -> tuple[Interval, Interval]
     rounded = _of_rounding(numbers, times - times[0], found.value, tick)
     found = replace(found, low=min(found.low, rounded[0]), high=max(found.high, rounded[1]))
     taken = max(int(numbers[-1] - numbers[0]) + 1, len(times))
-    lost = taken - len(times)
+    return found, share_of(taken - len(times), taken)
+
+
+def share_of(lost: int, taken: int) -> Interval:
+    """Return a share of frames with the interval of Clopper and Pearson."""
     ends = binomtest(lost, taken).proportion_ci(LEVEL, method="exact")
-    return found, Interval(lost / taken, float(ends.low), float(ends.high))
+    return Interval(lost / taken, float(ends.low), float(ends.high))
 
 
 def _tick_of(times: Array, ticks: Array | None) -> float:

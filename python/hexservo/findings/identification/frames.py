@@ -16,7 +16,6 @@ from scipy.optimize import least_squares
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.identification.drives import Drives
-from hexservo.findings.identification.frame_clock import clock
 from hexservo.findings.identification.frames_noise import (
     Scatter,
     Weights,
@@ -29,6 +28,7 @@ from hexservo.findings.identification.frames_noise import (
     spline_shares,
 )
 from hexservo.findings.identification.frames_outliers import NoOutliers, Outliers, outliers_of
+from hexservo.findings.identification.frames_overwritten import clock_of
 from hexservo.findings.identification.frames_repeated import repeats
 from hexservo.findings.identification.interval import Interval, correlated, half_width, robust_deviations
 from hexservo.findings.identification.joint_motion import JointMotion
@@ -83,6 +83,9 @@ class CameraFit(Part):
     target_deviations: Array = field(default_factory=lambda: np.full(6, np.inf))  # standard, of these [m; rad]
     stragglers: int = 0  # frames whose latency is far from that of the others: they do not count in latency and jitter
     repeated: int = 0  # frames that repeat the one before: they do not count
+    overwritten: int = 0  # frames that no line has, since another one arrived before it: they are none of `dropout`
+    incomplete: int = 0  # of the others, those that lack points
+    lost_points: float = 0.0  # share of the points of the others that they lack
     correlated: float = 1.0  # frames over which what the fit leaves is, in half of the coordinates; 1 of white noise
     target_pixels: float = 0.0  # what the target's displacement moves the image by, RMS of a coordinate [px]
     of_joints: float = 0.0  # share of what the fit leaves across the motion that the noise of the joints explains
@@ -168,23 +171,37 @@ def fit_camera(log: Log, scene: Scene, drives: Drives | None = None) -> CameraFi
     repeated_ones = repeats(log, frames)
     repeated = int(repeated_ones.sum())
     if repeated:
-        exposure = None if frames.exposure is None else frames.exposure[~repeated_ones]
-        frames = Frames(frames.features[~repeated_ones], frames.arrival[~repeated_ones], exposure)
+        frames = frames.only(~repeated_ones)
         if len(frames.arrival) < _FEWEST:
             return CameraFit(count, open=f"expected at least {_FEWEST} frames, got {repeated} of {count} repeated")
     stamped = frames.exposure is not None
-    period, dropout = clock(frames.arrival if frames.exposure is None else frames.exposure, log.time) or (None, None)
+    clock = clock_of(frames, log.time)
+    period, dropout = (None, None) if clock is None else (clock.period, clock.dropout)
+    seen = frames.seen
+    lost: dict[str, Any] = {"overwritten": 0 if clock is None else clock.overwritten}
+    lost |= {"incomplete": int((~seen).any(axis=1).sum()), "lost_points": float((~seen).mean())}
+    if (shown := int(seen.any(axis=1).sum())) < _FEWEST:
+        reason = f"expected at least {_FEWEST} frames with a point of the target, got {shown} of {count}"
+        return CameraFit(count, period, dropout, repeated=repeated, open=reason, **lost)
     rounding = grid_of(frames.features[:, ::2], frames.features[:, 1::2])
     joints = JointMotion.of(log, drives)
     sight = PredictedImages.of(log, frames, scene, joints)
     joint_noise = joint_deviations(joints.left)
     fit, outliers = _cleaned(sight, log, joint_noise, stamped=stamped)
     if isinstance(fit, str):
-        return CameraFit(count, period, dropout, repeated=repeated, open=fit)
+        return CameraFit(count, period, dropout, repeated=repeated, open=fit, **lost)
     shift, of_motion = fit
     coarse = drives is not None and is_motion(joint_noise, drives)
     found = CameraFit(
-        count, period, dropout, shift, repeated=repeated, ticks_are_coarse=coarse, outliers=outliers, **of_motion
+        count,
+        period,
+        dropout,
+        shift,
+        repeated=repeated,
+        ticks_are_coarse=coarse,
+        outliers=outliers,
+        **lost,
+        **of_motion,
     )
     if not found.noise_is_of_camera or found.noise is None:
         found = replace(found, noise=None, rounding=rounding)
@@ -239,7 +256,8 @@ def _cleaned(
             break
         late, target, jitter = fit[0].value, fit[1]["target"], fit[1]["jitter"]
         left = sight.left(late, target)
-        found = None if left is None else outliers_of(left, sight.speed(late, target, jitter or log.period))
+        seen = sight.seen[:, ::2]
+        found = None if left is None else outliers_of(left, sight.speed(late, target, jitter or log.period), seen)
         frames, now = found if isinstance(found, tuple) else (np.zeros_like(left_out), found)
         if (frames == left_out).all():
             seen = now
@@ -290,7 +308,7 @@ def _fit(sight: PredictedImages, log: Log, joint_noise: Array, *, stamped: bool)
     bounds = [np.r_[lowest / sight.latest, np.full(6, -np.inf)], np.r_[1.0, np.full(6, np.inf)]]
     fit = least_squares(residuals, first, bounds=bounds, x_scale="jac", max_nfev=_ROUNDS)
     jacobian, left = fit.jac[:-1], fit.fun[:-1].reshape(part.features.shape)
-    lasting = [correlated(column) for column in left.T]
+    lasting = [correlated(column[one]) for column, one in zip(left.T, part.seen.T, strict=True) if one.any()]
     together = max(lasting)
     sigma = robust_deviations(jacobian, left.ravel(), fitted, together)
     by_noise = float(of_joints @ spline_shares(log, part.times - fit.x[0] * sight.latest, derivative=1))
@@ -310,7 +328,7 @@ def _fit(sight: PredictedImages, log: Log, joint_noise: Array, *, stamped: bool)
 
     def scattered(target: Array, left: Array) -> Scatter:
         return _of_one_speed(
-            lambda speed: scatter_of(left, speed, by_joints, together, by_ticks),
+            lambda speed: scatter_of(left, speed, by_joints, together, by_ticks, part.seen),
             at_once,
             lambda width: part.speed(shift.value, target, width),
         )
@@ -327,7 +345,9 @@ def _fit(sight: PredictedImages, log: Log, joint_noise: Array, *, stamped: bool)
         "target": placed.target,
         "target_deviations": placed.deviations,
         "correlated": float(np.median(lasting)),
-        "target_pixels": np.inf if undisplaced is None else float(np.sqrt(np.mean((placed.left - undisplaced) ** 2))),
+        "target_pixels": np.inf
+        if undisplaced is None
+        else float(np.sqrt(np.mean((placed.left - undisplaced)[part.seen] ** 2))),
     }
 
 
@@ -429,8 +449,7 @@ def _predicted(sight: PredictedImages, log: Log, late: float, displacement: Arra
     if not any(leg_moves(log.commands[:, leg], log.joints[:, leg], apart) for leg in range(6)):
         return None
     rest = sight.left(late, displacement)
-    motion = sight.features[fitted:] - sight.features[fitted:].mean(axis=0)
-    power = float((motion**2).sum())
+    power = float((sight.only(slice(fitted, None)).motion ** 2).sum())
     return 0.0 if rest is None or power == 0.0 else 1.0 - float((rest[fitted:] ** 2).sum()) / power
 
 

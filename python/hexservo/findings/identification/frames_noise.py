@@ -14,7 +14,7 @@ from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.identification.drives import Drives
 from hexservo.findings.identification.interval import LEVEL, Interval
 from hexservo.findings.identification.log import RESOLVED, Log
-from hexservo.scenario.arrays import Array
+from hexservo.scenario.arrays import Array, Mask
 
 _NOISE = 0.5  # share of the differences' power that a fit of the drives leaves of noise, at least
 _REACH = 15  # ticks from which on a reading does not act in a spline, to 1e-8
@@ -157,7 +157,14 @@ def _split(speed: Array) -> tuple[Array, Array]:
     return size, speed / np.where(size > 0.0, size, 1.0)[:, None]
 
 
-def scatter_of(left: Array, speed: Array, by_joints: Array, together: float, by_ticks: Array | None = None) -> Scatter:
+def scatter_of(
+    left: Array,
+    speed: Array,
+    by_joints: Array,
+    together: float,
+    by_ticks: Array | None = None,
+    seen: Mask | None = None,
+) -> Scatter:
     """Return the noise of the camera, and how much later some frames are than others.
 
     A frame that is late by d differs by d times the speed of the image, and so along it only: what is at right angles
@@ -177,17 +184,19 @@ def scatter_of(left: Array, speed: Array, by_joints: Array, together: float, by_
         Over how many frames residuals are correlated.
     by_ticks
         (k, m, 2p) what the image may be off by since the motion between ticks is not known, k times [px].
+    seen
+        (m, 2p) coordinates that the frames have, the others of which are 0 in all of these; None: all.
     """
+    seen = np.ones(left.shape, dtype=bool) if seen is None else seen
     size, direction = _split(speed)
     along = np.einsum("ij,ij->i", left, direction)
     joints_along = np.einsum("ijk,ij->ik", by_joints, direction)
     joints_across = by_joints - direction[:, :, None] * joints_along[:, None, :]
     power, of_joints = float((left**2).sum() - along @ along), float((joints_across**2).sum())
-    count, across = len(left), left.shape[1] - 1
-    freedom = count * across - 6  # of the target's displacement
+    freedom = int(seen.sum()) - len(left) - 6  # of the target's displacement
     variance = max(power - of_joints, 0.0) / freedom
     # As many residuals of one variance scatter their sum alike: those of the joints are few, and not of one variance.
-    covariance = variance * np.eye(across + 1) + joints_across @ joints_across.swapaxes(1, 2)
+    covariance = variance * np.eye(left.shape[1]) * seen[:, :, None] + joints_across @ joints_across.swapaxes(1, 2)
     covariance -= variance * direction[:, :, None] * direction[:, None, :]
     squared = float((covariance**2).sum())
     alike = freedom if squared == 0.0 else float(np.trace(covariance, axis1=1, axis2=2).sum()) ** 2 / squared

@@ -26,7 +26,7 @@ class Outliers:
     """Points of a log that are wrong detections, as the model has them: each by itself, with a normal error."""
 
     frames: int  # that have one
-    searched: int  # frames
+    searched: int  # frames, of at least three points
     farther: float  # than this they are off, at least [px]
     probability: Interval  # of a point; not determined by one outlier alone
     size: Interval  # standard deviation of what is added to a coordinate [px]
@@ -61,8 +61,10 @@ class NoOutliers:
         return bool((1.0 - seen) ** self.points < 1.0 - LEVEL)
 
 
-def outliers_of(left: Array, speed: Array) -> tuple[Mask, Outliers] | NoOutliers | None:
-    """Return which frames (m,) have a wrong detection, by the residuals of images; None if most have.
+def outliers_of(left: Array, speed: Array, seen: Mask | None = None) -> tuple[Mask, Outliers] | NoOutliers | None:
+    """Return which frames (m,) have or may have a wrong detection, by the residuals of images; None if most have.
+
+    Those that may have are frames of fewer than three points, in a log with such detections: none is seen there.
 
     A point is an outlier if its distance d has d^2 > c = 2 S ln(points/0.001), as Gaussian noise has once in a thousand
     logs, after what its frame is late by, and the median of all images, are taken out. S is the variance of a
@@ -76,44 +78,73 @@ def outliers_of(left: Array, speed: Array) -> tuple[Mask, Outliers] | NoOutliers
         (m, 2p) residuals of the image [px].
     speed
         (m, 2p) of the image, the mean over its jitter [px/s].
+    seen
+        (m, p) points that the frames have, the others of which are 0 in both; None: all.
     """
     count, points = len(left), left.shape[1] // 2
-    if points < _FEWEST:
+    seen = np.ones((count, points), dtype=bool) if seen is None else seen
+    searched = seen.sum(axis=1) >= _FEWEST
+    if not searched.any():
         return None
-    shared = np.median(left, axis=0)  # outliers displace the target that is fitted, and so all images alike
-    residuals = (left - shared).reshape(count, points, 2)
+    found_of, of_searched = _found(left[searched], speed[searched], seen[searched])
+    if not isinstance(of_searched, Outliers):
+        return of_searched
+    frames = np.ones(count, dtype=bool)
+    frames[searched] = found_of
+    return frames, of_searched
+
+
+def _found(left: Array, speed: Array, seen: Mask) -> tuple[Mask, Outliers | NoOutliers | None]:
+    """Return the same of frames that all have enough points."""
+    count, points = seen.shape
+    # Outliers displace the target that is fitted, and so all images alike.
+    shared = [np.median(left[one, place]) if one.any() else 0.0 for place, one in enumerate(np.repeat(seen, 2, 1).T)]
+    residuals = np.where(seen[:, :, None], (left - shared).reshape(count, points, 2), 0.0)
     speeds = speed.reshape(count, points, 2)
-    first = _distances(residuals - _lateness(residuals, speeds)[:, None, None] * speeds)
-    squared, straight = _distances_by_others(residuals, speeds, _far(first)[0])
-    found, beyond = _far(squared)
-    number, frames = int(found.sum()), np.asarray(found.any(axis=1))
-    variance = float(np.median(squared)) / _MEDIAN
+    first = _distances(residuals - _lateness(residuals, speeds, seen)[:, None, None] * speeds)
+    squared, straight = _distances_by_others(residuals, speeds, _far(first, seen)[0])
+    found, beyond = _far(squared, seen)
+    number, total, frames = int(found.sum()), int(seen.sum()), np.asarray(found.any(axis=1))
+    variance = float(np.median(squared[seen])) / _MEDIAN
     if not number:
-        return NoOutliers(found.size, float(np.sqrt(beyond.mean())), float(np.sqrt(variance)))
+        return frames, NoOutliers(total, float(np.sqrt(beyond[seen].mean())), float(np.sqrt(variance)))
     if frames.mean() > _MOST:
-        return None
+        return frames, None
     edge = float(beyond[found].mean())
     both = float((straight[found] - beyond[found]).mean()) / 2.0  # variance of the error and the noise together
     ends = [2 * number * both / end for end in chi2.ppf([0.5 + LEVEL / 2, 0.5 - LEVEL / 2], 2 * number)]
     size = Interval(*(float(np.sqrt(max(one - variance, 0.0))) for one in (both, *ends)))
-    nearby = min(float(np.exp(edge / (2.0 * both))), squared.size / number)
-    share = binomtest(number, squared.size).proportion_ci(LEVEL, method="exact")
-    ways = (number / squared.size, float(share.low), float(share.high))
+    nearby = min(float(np.exp(edge / (2.0 * both))), total / number)
+    share = binomtest(number, total).proportion_ci(LEVEL, method="exact")
+    ways = (number / total, float(share.low), float(share.high))
     probability = Interval(*(min(nearby * one, 1.0) for one in ways)).determined()
     again = int((found[1:] & found[:-1]).sum())
-    lasts = bool(again > 1 and binom.sf(again - 1, number, number / squared.size) < _BY_CHANCE)
+    lasts = bool(again > 1 and binom.sf(again - 1, number, number / total) < _BY_CHANCE)
     return frames, Outliers(int(frames.sum()), count, float(np.sqrt(edge)), probability, size, lasts)
 
 
-def _far(squared: Array) -> tuple[Mask, Array]:
+def _far(squared: Array, seen: Mask) -> tuple[Mask, Array]:
     """Return which points are outliers by their d^2, and the c that it is compared with, both (m, p)."""
-    points = squared.shape[1]
-    nearer = points - points // 2
-    shares = np.cumsum(1.0 / np.arange(points, 0, -1.0))[:nearer].mean()  # means of ordered exponentials
-    of_frame = np.sort(squared, axis=1)[:, :nearer].mean(axis=1) / (2.0 * shares)
-    variance = np.maximum(of_frame, np.median(squared) / _MEDIAN)
-    beyond = np.repeat(2.0 * np.log(squared.size / _CHANCE) * variance[:, None], points, axis=1)
-    return squared > beyond, beyond
+    points = seen.sum(axis=1)
+    nearer, total = points - points // 2, int(seen.sum())
+    shares = np.array([_mean_of_nearer(int(one)) for one in range(seen.shape[1] + 1)])[points]
+    of_frame = _sum_of_nearer(squared, seen) / (2.0 * nearer * shares)
+    variance = np.maximum(of_frame, np.median(squared[seen]) / _MEDIAN)
+    beyond = np.repeat(2.0 * np.log(total / _CHANCE) * variance[:, None], seen.shape[1], axis=1)
+    return (squared > beyond) & seen, beyond
+
+
+def _mean_of_nearer(points: int) -> float:
+    """Return the mean of the smaller half of exponential numbers of mean 1, ordered."""
+    ordered = np.cumsum(1.0 / np.arange(points, 0, -1.0))[: points - points // 2]
+    return float(ordered.mean()) if points else 1.0
+
+
+def _sum_of_nearer(squared: Array, seen: Mask) -> Array:
+    """Return the sum of the smaller half of the numbers (..., p) of points that are seen (m, p), the middle one too."""
+    points = seen.sum(axis=-1)
+    ordered = np.sort(np.where(seen, squared, np.inf), axis=-1)
+    return np.where(np.arange(seen.shape[-1]) < (points - points // 2)[..., None], ordered, 0.0).sum(axis=-1)
 
 
 def _distances(residuals: Array) -> Array:
@@ -137,13 +168,13 @@ def _distances_by_others(residuals: Array, speeds: Array, suspects: Mask) -> tup
     return straight - np.where(suspects, along, 0.0), straight
 
 
-def _lateness(residuals: Array, speeds: Array) -> Array:
+def _lateness(residuals: Array, speeds: Array, seen: Mask) -> Array:
     """Return the times (m,) [s] by which the nearer half of `residuals - time*speeds`, (m, p, 2), is least.
 
     Least trimmed squares, of the times at which one of the coordinates is met: the others may be wrong detections.
     """
-    count, points, _ = residuals.shape
+    count = len(residuals)
     tried = np.divide(residuals, speeds, out=np.zeros_like(residuals), where=speeds != 0.0).reshape(count, -1)
     left = residuals[:, None] - tried[:, :, None, None] * speeds[:, None]
-    squared = np.sort((left**2).sum(axis=3), axis=2)[:, :, : points - points // 2].sum(axis=2)
+    squared = _sum_of_nearer((left**2).sum(axis=3), seen[:, None])
     return np.asarray(tried[np.arange(count), np.argmin(squared, axis=1)])

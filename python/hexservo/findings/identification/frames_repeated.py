@@ -22,12 +22,15 @@ def repeats(log: Log, frames: Frames) -> Mask:
     without such a run, nor where the image is often equal by itself: in single coordinates, or in runs that are far
     longer, as at rest.
     """
-    steps = np.abs(np.diff(frames.features, axis=0))
-    largest, single, whole = steps.max(axis=1), (steps == 0.0).any(axis=1), ~steps.any(axis=1)
+    steps, seen = np.abs(np.diff(frames.features, axis=0)), np.isfinite(frames.features)
+    steps = np.where(seen[1:] & seen[:-1], steps, 0.0)
+    alike = (seen[1:] == seen[:-1]).all(axis=1) & seen[1:].any(axis=1)  # a repeated frame lacks the same points
+    largest, whole = steps.max(axis=1), alike & ~steps.any(axis=1)
+    single = ((steps == 0.0) & seen[1:] & seen[:-1]).any(axis=1)
     runs = np.flatnonzero(np.diff(np.concatenate([[False], whole, [False]]).astype(int))).reshape(-1, 2)
     if not len(runs) or whole.all():
         return np.zeros(len(frames.arrival), dtype=bool)
-    clear: Mask = largest > _CLEAR * steps[steps > 0.0].min()
+    clear: Mask = largest > _CLEAR * steps[steps > 0.0].min(initial=np.inf)
     moves = _movement(log, frames.arrival)
     shows = [
         bool(first > 0 and end < len(clear) and clear[first - 1] and clear[end] and moves(first, end))

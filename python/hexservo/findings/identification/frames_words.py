@@ -30,6 +30,7 @@ def section(found: CameraFit) -> Section:
         ("a frame is later by at most", _jitter(found), "ms"),
         ("exposure times are late by", with_interval(found.stamps and found.stamps.times(1e3)), "ms"),
         ("frames that did not arrive", with_interval(found.dropout and found.dropout.times(100)), "%"),
+        *([("points that frames lack", number(100 * found.lost_points), "%")] if found.incomplete else []),
         ("noise of a coordinate", with_interval(found.noise) if found.noise_is_of_camera else _UNKNOWN, "px"),
         *([("pixels are rounded to", number(found.rounding), "px")] if found.of_rounding > SEEN else []),
         *_rows_of_outliers(found.outliers),
@@ -48,7 +49,13 @@ def section(found: CameraFit) -> Section:
     return Section(
         "camera",
         _TITLE,
-        [*_of_outliers(found), *_sentences(found), *_of_rounding(found), *_of_repeated(found)],
+        [
+            *_of_outliers(found),
+            *_sentences(found),
+            *_of_rounding(found),
+            *_of_repeated(found),
+            *_of_overwritten(found),
+        ],
         (table,),
         verdict,
         data,
@@ -100,6 +107,12 @@ def doubts(found: CameraFit) -> list[str]:
     if not found.explains or found.at_edge:
         return []
     words, stamps = [], found.stamps
+    if found.lost_points > SEEN:
+        words.append(
+            f"{found.incomplete} of {found.frames - found.repeated} frames that arrived lack points, together "
+            f"{number(100 * found.lost_points)} % of all; the fit has the others. The scenario has no such loss of "
+            "single points: `camera.dropout` is that of whole frames."
+        )
     if stamps is not None and found.stamps_are_wrong and found.latency_is_known:
         words.append(
             f"The exposure times do not agree with the joints: frames were taken {number(1e3 * abs(stamps.value))} ms "
@@ -183,6 +196,16 @@ def _of_repeated(found: CameraFit) -> list[str]:
     return [
         f"{found.repeated} of {found.frames} frames repeat the one before, equal in every coordinate: they do "
         "not count, and the period is that of the others."
+    ]
+
+
+def _of_overwritten(found: CameraFit) -> list[str]:
+    if not found.overwritten or found.period is None:
+        return []
+    return [
+        f"The camera takes a frame every {number(1e3 * found.period.value)} ms, more often than the log has lines: "
+        f"{found.overwritten} frames arrived before another one of the same line, which has the newest. A scenario has "
+        "one frame a tick at most."
     ]
 
 

@@ -17,7 +17,7 @@ from scipy.special import comb
 
 from hexservo.findings.identification.interval import NORMAL
 from hexservo.findings.identification.mcap_log import period_of, read_mcap
-from hexservo.scenario.arrays import Array, real_numbers
+from hexservo.scenario.arrays import Array, Mask, real_numbers
 from hexservo.scenario.fields import described
 from hexservo.scenario.reading import EMPTY_PATH, path_text
 from hexservo.scenario.wording import wrong_type
@@ -58,13 +58,25 @@ _REQUIRED = (_TIME, *(f"{name}_{leg}" for name in ("command", "joint") for leg i
 class Frames:
     """Images that arrived, m of them."""
 
-    features: Array  # (m, 2p) pixels as the camera counts them, x1, y1, x2, ... [px]
+    features: Array  # (m, 2p) pixels as the camera counts them, x1, y1, x2, ... [px]; NaN of points that are lost
     arrival: Array  # (m,) when the program had them [s]
     exposure: Array | None  # (m,) when they were taken [s]; None where the log has no such times
 
     def __post_init__(self) -> None:
         """Make arrays of lists, and refuse what is not numbers."""
         _make_arrays(self, ("features", "arrival") if self.exposure is None else ("features", "arrival", "exposure"))
+        if _has_pairs(self.features):  # others are refused by the log
+            self.features[np.repeat(~self.seen, 2, axis=1)] = np.nan
+
+    @property
+    def seen(self) -> Mask:
+        """Which points the frames have, (m, p)."""
+        return np.asarray(~np.isnan(self.features.reshape(len(self.features), -1, 2)).any(axis=2))
+
+    def only(self, frames: Mask) -> Frames:
+        """Return some of the frames, (m,)."""
+        exposure = None if self.exposure is None else self.exposure[frames]
+        return Frames(self.features[frames], self.arrival[frames], exposure)
 
 
 @described
@@ -238,6 +250,10 @@ def predicted_share(commands: Array, joints: Array, predicted: Array, part: slic
     return 1.0 - float(np.mean((joints[part] - predicted) ** 2)) / float(np.var(joints[part]))
 
 
+def _has_pairs(features: Array) -> bool:
+    return features.ndim == 2 and features.shape[1] % 2 == 0
+
+
 def _make_arrays(record: Frames | Log, names: Sequence[str]) -> None:
     for name in names:
         given = getattr(record, name)
@@ -279,8 +295,10 @@ def _fault_of_order(time: Array, rows: str) -> tuple[int, str] | None:
 
 def _check_frames(frames: Frames, time: Array) -> None:
     count = len(frames.arrival)
-    if frames.features.ndim != 2 or len(frames.features) != count or not np.isfinite(frames.features).all():
-        raise ValueError(f"features: expected ({count}, 2p) finite numbers, got shape {frames.features.shape}")
+    if not _has_pairs(frames.features) or len(frames.features) != count or np.isinf(frames.features).any():
+        raise ValueError(
+            f"features: expected ({count}, 2p) finite numbers, NaN of lost points, got shape {frames.features.shape}"
+        )
     if fault := _fault_of_times(frames, time):
         frame, words = fault
         raise ValueError(f"frame {frame + 1}, {words}")
@@ -327,8 +345,9 @@ def read_log(path: str | os.PathLike[str]) -> Log:
     ``time``                         of a tick [s] by any clock, evenly spaced
     ``command_1`` ... ``command_6``  coordinates that the legs are sent to at the tick: [m], of cranks [rad]
     ``joint_1`` ... ``joint_6``      the same as measured at the tick, before the command
-    ``x_1, y_1, x_2, ...``           pixels of a frame that arrived since the tick before; empty without one
-    ``arrival``                      when it arrived [s]; without this column at the tick of its line
+    ``x_1, y_1, x_2, ...``           pixels of a frame that arrived since the tick before; empty without one, and
+                                     where a point is lost
+    ``arrival``                      when it arrived [s], else empty; without this column at the tick of its line
     ``exposure``                     when it was taken [s], if the machine has it
     ===============================  ==================================================================
 
@@ -459,11 +478,15 @@ def _number(cell: str, column: str, line: int, source: str) -> float:
 
 def _frames(table: Mapping[str, Array], points: int, numbered: Sequence[int], source: str) -> Frames | None:
     features = np.stack([table[f"{axis}_{point}"] for point in range(1, points + 1) for axis in "xy"], axis=1)
-    came = np.isfinite(features).all(axis=1)  # frames with lost points are left out
+    came = np.isfinite(features).any(axis=1)
     if not came.any():
         return None
-    arrival = table.get(_ARRIVAL, table[_TIME])[came]
-    exposure = table[_EXPOSURE][came] if _EXPOSURE in table else None
+    every = table.get(_ARRIVAL, table[_TIME])
+    # A frame of which all points are lost has a new arrival; the time of a line is none in a log that has it in each.
+    new = every > np.fmax.accumulate(np.concatenate([[-np.inf], every[:-1]]))
+    new &= (every != table[_TIME]) | np.isnan(every).any()
+    came |= new & np.isfinite(table.get(_EXPOSURE, every))
+    arrival, exposure = every[came], table[_EXPOSURE][came] if _EXPOSURE in table else None
     if not np.isfinite(arrival).all() or not (exposure is None or np.isfinite(exposure).all()):
         raise ScenarioError("expected arrival and exposure of every frame, got lines with an image without", source)
     frames = Frames(features[came], arrival, exposure)

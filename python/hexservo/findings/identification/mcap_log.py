@@ -38,7 +38,7 @@ class Recorded:
     period: float  # [s]
     commands: Array  # (n, 6)
     joints: Array  # (n, 6)
-    features: Array | None  # (m, 2p) [px]
+    features: Array | None  # (m, 2p) [px]; NaN of points that are lost
     arrival: Array  # (m,) [s]
     exposure: Array | None  # (m,) [s]
 
@@ -286,8 +286,7 @@ def _frames(
         count = f"{stamped} of {len(features)}"
         raise ScenarioError(f'{FEATURES}: expected "exposure" in all messages or in none, got it in {count}', source)
     pixels = np.array([message.numbers for message in features])
-    came = np.isfinite(pixels).all(axis=1)  # frames with lost points are left out
-    if not came.any():
+    if not np.isfinite(pixels).any():
         return None, arrival, None
     exposure = np.array([message.exposure for message in features], dtype=float) - start if stamped else None
-    return pixels[came], arrival[came], None if exposure is None else exposure[came]
+    return pixels, arrival, exposure

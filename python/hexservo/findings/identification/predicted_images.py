@@ -27,7 +27,7 @@ class PredictedImages:
 
     scene: Scene
     joints: JointMotion
-    features: Array  # (m, 2p) of the pinhole [px]
+    features: Array  # (m, 2p) of the pinhole [px]; NaN of lost points, of which all that is computed is 0
     times: Array  # (m,) exposures where they are known, else arrivals [s]
     latest: float  # a shift of `times` stays below this [s]
     centre: Array  # (3,) of the target [m]
@@ -40,7 +40,20 @@ class PredictedImages:
         margin = MOST_LATENCY if not stamped else MOST_LATENCY / 2
         inside = (times - margin >= log.time[0]) & (times + (margin if stamped else 0.0) <= log.time[-1])
         features = to_features(scene.scenario, frames.features[inside])
-        return cls(scene, joints, features, times[inside], margin, scene.points.mean(axis=0))
+        found = cls(scene, joints, features, times[inside], margin, scene.points.mean(axis=0))
+        return found.only(found.seen.any(axis=1))
+
+    @property
+    def seen(self) -> Mask:
+        """Which coordinates the frames have, (m, 2p): a lens shows no point at some pixels."""
+        return np.asarray(np.isfinite(self.features))
+
+    @property
+    def motion(self) -> Array:
+        """The images about their mean, (m, 2p) [px]."""
+        seen = self.seen
+        mean = np.where(seen, self.features, 0.0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
+        return np.where(seen, self.features - mean, 0.0)
 
     def only(self, frames: Mask | slice) -> PredictedImages:
         """Return the same of some of the frames."""
@@ -62,7 +75,7 @@ class PredictedImages:
         """Return what these deviations of the joints (6,) move the image by, (m, 2p, 6) [px]; 0 without poses."""
         poses = self.poses(late)
         none = np.zeros((*self.features.shape, 6))
-        return none if poses is None else image_of_noise(self.scene, poses, deviations)
+        return none if poses is None else self.seen[:, :, None] * image_of_noise(self.scene, poses, deviations)
 
     def left(self, late: float, displacement: Array, poses: Poses | None = None) -> Array | None:
         """Return what the image differs by from the frames, (m, 2p) [px], with the target displaced in B [m; rad]."""
@@ -75,7 +88,7 @@ class PredictedImages:
         position = back.carried(poses.position - self.centre - displacement[:3])
         turned = poses.moved(np.concatenate([np.zeros(3), -displacement[3:]])).quaternion
         features, depth = self.scene.probe.image(position, turned)
-        return np.asarray(features - self.features) if (depth < 0.0).all() else None
+        return np.where(self.seen, features - self.features, 0.0) if (depth < 0.0).all() else None
 
     def speed(self, late: float, displacement: Array, width: float) -> Array:
         """Return the image's mean speed by `late` over a width [s] about it, (m, 2p) [px/s]; 0 without poses."""
