@@ -207,7 +207,7 @@ def _out_of_bound(key: str, side: str, bandwidth: float, bound: float) -> str:
 
 
 def image_delay(scenario: Scenario) -> float:
-    """Return how late the image acts, on average [s]: latency, half a frame's period, half a tick, filter, actuators.
+    """Return how late the image acts, on average [s]: its mean age (`image_age`), half a tick, filter, actuators.
 
     Joints carry a predicted image along, and where drives take positions the image is seen from where the legs are sent
     (docs/model.md, section 7): then age and lag act in the share delta/(1 + delta) of the motion, over all points, that
