@@ -40,7 +40,7 @@ def goals_of(scenario: hs.Scenario) -> Goals:
 
 
 def test_a_point_that_does_not_count_makes_no_pose_more_certain() -> None:
-    """Four points, and the same with a fifth of weight 0; of weight 4 each, the pose is twice as certain."""
+    """Four points, and the same with a fifth of weight 0; the size of all weights changes no noise."""
     four = hs.load_scenario("paper")
     features = [*four.target.initial_features, 100.0, 20.0]  # type: ignore[misc]
     target = {"initial_features": features, "desired_features": [*four.target.desired_features, 105.0, 25.0]}
@@ -50,7 +50,7 @@ def test_a_point_that_does_not_count_makes_no_pose_more_certain() -> None:
 
     alone = conditioning.analyse(four).start.pose_sigma
     np.testing.assert_allclose(sigma([1.0, 1.0, 1.0, 1.0, 0.0]), alone, rtol=1e-9)
-    np.testing.assert_allclose(sigma([4.0] * 5), 0.5 * sigma([1.0] * 5), rtol=1e-9)
+    np.testing.assert_allclose(sigma([4.0] * 5), sigma([1.0] * 5), rtol=1e-9)
     assert (sigma([1.0] * 5) < alone).all()
 
 
@@ -171,10 +171,19 @@ def test_singular_directions_do_to_the_image_what_they_are_said_to(paper: hs.Sce
 
 
 def test_the_noise_of_a_sampled_camera_is_the_noise_of_the_sentences() -> None:
+    """A coordinate that is rounded to multiples of q has the deviation q/sqrt(12)."""
     noisy = hs.load_scenario("noisy-camera")
-    assert f"{number(noisy.camera.noise)} px of noise" in conditioning.analyse(noisy).section().sentences[0]
-    quiet = noisy.updated({"camera.noise": 0.0})
-    assert "0.1 px of noise" in conditioning.analyse(quiet).section().sentences[0]
+    for noise, rounding, words in (
+        (0.5, 0.0, "0.5 px of noise in"),
+        (0.05, 2.0, "0.58 px of noise and rounding in"),
+        (0.0, 20.0, "5.77 px of rounding in"),
+        (0.0, 0.0, "0.1 px of noise in"),
+    ):
+        found = conditioning.analyse(noisy.updated({"camera.noise": noise, "camera.quantisation": rounding}))
+        assert found.noise == pytest.approx(np.hypot(noise, rounding / np.sqrt(12.0)) or 0.1)
+        (sentence, *_) = found.section().sentences
+        assert words in sentence
+        assert f"uncertain by {numbers(1e3 * found.noise * found.start.pose_sigma[:3])} mm" in sentence
 
 
 # ---- the pose of the goal -------------------------------------------------------------------------------------------

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hexservo.findings.analysis.conditioning import Conditioning, Sight
+from hexservo.findings.analysis.conditioning import Conditioning, Sight, noise_in_words
 from hexservo.findings.analysis.goal import SHOWN, TOLERANCE
 from hexservo.findings.analysis.placement import (
     DEPTH_SHARE,
@@ -54,7 +54,7 @@ def _verdict(found: Conditioning, sights: list[Sight]) -> Verdict:
 
 def _sentences(found: Conditioning, sights: list[Sight]) -> list[str]:
     words = [
-        f"At the {sight.place}, {number(found.noise)} px of noise in each coordinate (1 sigma) makes the pose "
+        f"At the {sight.place}, {noise_in_words(found.scene.scenario)} in each coordinate (1 sigma) makes the pose "
         f"uncertain by {numbers(1e3 * found.noise * sight.pose_sigma[:3])} mm along x, y and z and by "
         f"{numbers(1e3 * found.noise * sight.pose_sigma[3:])} mrad about them."
         for sight in sights[:2]

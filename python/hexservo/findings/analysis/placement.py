@@ -156,7 +156,7 @@ def _but(point: int, count: int, factor: float) -> Array:
 
 
 def _scaled(scene: Scene, features: Array, depth: Array, length: float) -> Array:
-    """Return sqrt(W) J of the camera's pixels at home with rotations scaled by a length, (2p, 6) [px/m]."""
+    """Return `Scene.of_noise` at home with rotations scaled by a length, (k, 6) [px/m]."""
     jacobian = scene.of_noise(features, scene.jacobian(features, depth, scene.home))
     return np.asarray(jacobian / np.repeat([1.0, length], 3))
 

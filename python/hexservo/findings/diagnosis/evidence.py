@@ -18,7 +18,7 @@ from hexservo.run.leg_limits import LimitUse, limits_of_motion, most_used
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.leg_units import leg_units, stroke_length
 from hexservo.scenario.parameters import frame_period
-from hexservo.scenario.pixels import desired_features, points_outside
+from hexservo.scenario.pixels import desired_features, feature_noise, points_outside
 from hexservo.scenario.wording import number, quantity
 
 _TAIL = 0.25  # the last part of a run, in which it rests or does not
@@ -174,12 +174,16 @@ def _late_camera(case: Case, record: Record, judgement: Judgement) -> Signature:
 
 def _poor_image(case: Case, record: Record, judgement: Judgement) -> Signature:
     worst = pixels_per_metre(*seen_from_home(case.scenario))
-    noise = case.scenario.camera.noise if case.scenario.simulation.mode == "sampled" else 0.0
+    noise = feature_noise(case.scenario.camera) if case.scenario.simulation.mode == "sampled" else 0.0
     wander = noise / worst
     sentence = f"In the least observable direction 1 px is {number(1e3 / worst)} mm at the target's distance"
-    sentence += (
-        f", and the noise of {number(noise)} px is {number(wander * 1e3)} mm." if noise else "; there is no noise."
-    )
+    if noise:
+        what = (
+            "the noise of {} px is" if case.scenario.camera.quantisation == 0.0 else "noise and rounding of {} px are"
+        )
+        sentence += f", and {what.format(number(noise))} {number(wander * 1e3)} mm."
+    else:
+        sentence += "; there is no noise."
     return Signature(min(1.0, wander / (_WANDER * stroke_length(case.scenario.robot))), sentence)
 
 
