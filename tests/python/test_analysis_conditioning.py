@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from typing import Any
 
 import numpy as np
@@ -338,6 +340,33 @@ def test_a_square_of_the_table_is_the_square_by_hand(paper: hs.Scenario) -> None
     assert in_plane.pose_sigma[0] == pytest.approx(d * np.sqrt((f**2 + a**2) ** 2 + a**4) / (2 * f * a**2), rel=1e-9)
     again = place(scene, "again", in_plane.features, in_plane.depth, d)
     assert again.worst == in_plane.worst
+
+
+@pytest.mark.parametrize("name", ["paper", "pi-h824", "eye-to-hand", "reachy-mini", "off centre"])
+def test_the_placement_that_is_printed_can_be_typed_into_the_scenario(name: str) -> None:
+    """Its keys as they stand: pixels of the camera, in the image, with the observability of the table."""
+    if name == "off centre":
+        camera = hs.camera_from_opencv([[905.5, 0, 480.0], [0, 903.0, 400.0], [0, 0, 1]], None, (1280, 1024))
+        goal = {"desired_pose": [4e-3, -3e-3, 2e-3, -0.01, -0.015, 0.02], "desired_features": None}
+        scenario = hs.load_scenario("pi-h824").updated({"camera": camera, "target": goal})
+    else:
+        scenario = hs.load_scenario(name)
+    analysis = hs.analyse(scenario, ["conditioning"])
+    (section,) = analysis.sections()
+    (table,) = (each for each in section.items if each.title == "Other placements of the points, from home")
+    assert isinstance(table, Table)
+    typed = {key: json.loads(values) for key, values in re.findall(r"target\.(\w+): (\[[^]]*\])", table.note)}
+    assert list(typed) == ["initial_features", "depth"]
+    none = dict.fromkeys(("points", "tag", "grid", "desired_pose"))
+    moved = scenario.updated({"target": {**none, **typed, "desired_features": typed["initial_features"]}})
+    np.testing.assert_allclose(hs.project(moved, np.zeros(6)).ravel(), typed["initial_features"], atol=1e-6)
+    assert not points_outside(moved, scene_of(moved).view(scene_of(moved).home).features).any()
+    found, best = conditioning.analyse(moved).start.pose_sigma, analysis.conditioning.placements[-1].pose_sigma
+    np.testing.assert_allclose(found, best, rtol=0.02)  # whole pixels; the runs start at home
+    circle = image_radius(scene_of(scenario))
+    assert any(f"Within {circle:.0f} px of the principal point and" in each for each in section.sentences)
+    data = analysis.to_dict()["conditioning"]["placements"][-1]["pixels"]
+    np.testing.assert_allclose(data, typed["initial_features"], atol=0.5)
 
 
 def test_features_stay_in_the_picture(paper: hs.Scenario) -> None:

@@ -1174,6 +1174,9 @@ def test_the_signature_of_a_poor_image_has_the_size_of_a_pixel_and_of_the_noise(
         f"In the least observable direction 1 px is {number(pixel)} mm at the target's distance, and the noise of "
         f"0.3 px is {number(0.3 * pixel)} mm."
     )
+    both = np.hypot(0.3, 2.0 / np.sqrt(12.0))
+    sentence = sentence_of("poor_image", scenario.updated({"camera.quantisation": 2.0}), record_by_hand(np.zeros(1001)))
+    assert sentence.endswith(f", and noise and rounding of {number(both)} px are {number(both * pixel)} mm.")
 
 
 # ---- What a user gets -----------------------------------------------------------------------------------------------
