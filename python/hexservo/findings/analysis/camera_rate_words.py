@@ -415,6 +415,7 @@ def _data(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins) 
                 "share": finite(border.use.share),
                 "own_limit": border.own.limit.kind,
                 "own_share": finite(border.own.share),
+                "at_end": None if border.at_end is None else picked(border.at_end, "lasts moved speed"),
             }
             for key, border in result.limits.items()
         },
