@@ -346,7 +346,7 @@ def test_a_square_of_the_table_is_the_square_by_hand(paper: hs.Scenario) -> None
 def test_the_placement_that_is_printed_can_be_typed_into_the_scenario(name: str) -> None:
     """Its keys as they stand: pixels of the camera, in the image, with the observability of the table."""
     if name == "off centre":
-        camera = hs.camera_from_opencv([[905.5, 0, 480.0], [0, 903.0, 400.0], [0, 0, 1]], None, (1280, 1024))
+        camera = hs.camera_from_opencv(np.array([[905.5, 0, 480.0], [0, 903.0, 400.0], [0, 0, 1]]), None, (1280, 1024))
         goal = {"desired_pose": [4e-3, -3e-3, 2e-3, -0.01, -0.015, 0.02], "desired_features": None}
         scenario = hs.load_scenario("pi-h824").updated({"camera": camera, "target": goal})
     else:

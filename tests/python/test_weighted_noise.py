@@ -113,9 +113,9 @@ def test_weights_divide_the_noise_of_the_filter_by_their_root(weight: float) -> 
     by_noise = tracking(**{"controller.tracking.noise": 0.5 / np.sqrt(weight)})
     one, other = (hs.simulate(scenario) for scenario in (by_weight, by_noise))
     np.testing.assert_allclose(one.position, other.position, atol=1e-7)
-    found = [steady_filter(Scene(each), each.controller.gains).reading for each in (by_weight, by_noise)]
-    np.testing.assert_allclose(*found, rtol=1e-6)
-    (heads,) = {("target.weights", "controller.tracking.noise")}
+    first, second = (steady_filter(Scene(each), each.controller.gains).reading for each in (by_weight, by_noise))
+    np.testing.assert_allclose(first, second, rtol=1e-6)
+    heads = ("target.weights", "controller.tracking.noise")
     assert len(about(by_weight, *heads)) == len(about(by_noise, *heads)) == (weight != 0.04)
 
 

@@ -30,7 +30,7 @@ def estimate_of_image(jacobian: Array, weights: Array, prior: Array | None = Non
     information = weighted @ jacobian
     if prior is not None:
         information = information + np.diag(prior)
-    return np.linalg.solve(information, weighted)
+    return np.asarray(np.linalg.solve(information, weighted), dtype=float)
 
 
 def rows_of_estimate(jacobian: Array, weights: Array) -> Array:
