@@ -1153,6 +1153,9 @@ def test_signatures_have_the_numbers_of_the_record() -> None:
     assert (late.camera.period, late.camera.latency) == (0.01, 0.01)
     words = "images in use are up to 30 ms old, with a servo period of 1 ms."
     assert sentence_of("late_camera", late, record_by_hand(outside)).endswith(words)
+    words = "images in use are up to 30 ms old, and by lost frames 40 ms older on average, with a servo period of 1 ms."
+    lost = late.updated({"camera.dropout": 0.8})  # four frames on average
+    assert sentence_of("late_camera", lost, record_by_hand(outside)).endswith(words)
 
     paper = hs.load_scenario("paper")
     words = "The platform rests with 5 px left: its legs move 3 um in the last quarter."
