@@ -829,8 +829,42 @@ def test_the_stroke_limits_what_the_linear_loop_does_not() -> None:
     assert travel[500] > 4 * scenario.robot.stroke  # about 84 mm of 17 mm
     words = " ".join(found.section().sentences)
     assert "any latency" not in words
-    assert "The stroke limits the latency: runs of the task keep the legs within their stroke of 17 mm up to" in words
+    assert (
+        "The stroke limits the latency: runs of the task of 5 s keep the legs within their stroke of 17 mm up to"
+        in words
+    )
     assert f" up to {border.within} ms; at {border.beyond} ms" in words
+
+
+def test_legs_that_still_move_at_the_end_of_a_run_are_stated_with_its_duration() -> None:
+    """Up to the linear limit of latency the legs stay within their stroke for 5 s; they leave it in a longer run."""
+    scenario = hs.load_scenario("hand-eye").updated({"camera.prediction": "none"})
+    found = camera_rate.analyse(scenario)
+    border = found.limits["latency"]
+    assert border.within is not None
+    assert border.beyond is None
+    assert border.at_end is not None
+    assert found.at_rest is not None
+    late = found.at_rest.task.updated({"camera.latency": border.within * 1e-3, "simulation.log_every": 1})
+    legs, times = [], []
+    hexapod, run = scene_of(late).hexapod, hs.simulate(late)
+    for time, position, quaternion in zip(run.time, run.position, run.quaternion, strict=True):
+        if time >= 4.5 - 1e-9:
+            legs.append(hexapod.leg_travel(position, quaternion))
+            times.append(time)
+    assert border.at_end.lasts == pytest.approx(0.5, rel=0.01)
+    assert border.at_end.moved == pytest.approx(np.ptp(legs, axis=0).max(), rel=0.01)
+    rates = np.abs(np.gradient(np.array(legs), np.array(times), axis=0))
+    assert border.at_end.speed == pytest.approx(rates.max(), rel=0.02)
+    longer = hs.simulate(late.updated({"simulation.duration": 40.0, "simulation.log_every": 100}))
+    assert longer.streamed_metrics["peak_leg_excursion"] > 2.0 * scenario.robot.stroke
+    words = " ".join(found.section().sentences)
+    assert "In runs of the task of 5 s at each latency tried, up to 345 ms, the legs stay within their stroke" in words
+    moved, speed = 1e3 * border.at_end.moved, 1e3 * border.at_end.speed
+    assert f"in the last 500 ms by up to {moved:.3g} mm at up to {speed:.3g} mm/s: a longer run may" in words
+    at_rest = camera_rate.analyse(scenario.updated({"camera.prediction": "encoder"}))
+    assert all(each.at_end is None for each in at_rest.limits.values())
+    assert "a longer run may" not in " ".join(at_rest.section().sentences)
 
 
 # ---- The part as a whole --------------------------------------------------------------------------------------------

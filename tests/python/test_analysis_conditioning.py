@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from typing import Any
 
 import numpy as np
@@ -40,7 +42,7 @@ def goals_of(scenario: hs.Scenario) -> Goals:
 
 
 def test_a_point_that_does_not_count_makes_no_pose_more_certain() -> None:
-    """Four points, and the same with a fifth of weight 0; of weight 4 each, the pose is twice as certain."""
+    """Four points, and the same with a fifth of weight 0; the size of all weights changes no noise."""
     four = hs.load_scenario("paper")
     features = [*four.target.initial_features, 100.0, 20.0]  # type: ignore[misc]
     target = {"initial_features": features, "desired_features": [*four.target.desired_features, 105.0, 25.0]}
@@ -50,7 +52,7 @@ def test_a_point_that_does_not_count_makes_no_pose_more_certain() -> None:
 
     alone = conditioning.analyse(four).start.pose_sigma
     np.testing.assert_allclose(sigma([1.0, 1.0, 1.0, 1.0, 0.0]), alone, rtol=1e-9)
-    np.testing.assert_allclose(sigma([4.0] * 5), 0.5 * sigma([1.0] * 5), rtol=1e-9)
+    np.testing.assert_allclose(sigma([4.0] * 5), sigma([1.0] * 5), rtol=1e-9)
     assert (sigma([1.0] * 5) < alone).all()
 
 
@@ -171,10 +173,19 @@ def test_singular_directions_do_to_the_image_what_they_are_said_to(paper: hs.Sce
 
 
 def test_the_noise_of_a_sampled_camera_is_the_noise_of_the_sentences() -> None:
+    """A coordinate that is rounded to multiples of q has the deviation q/sqrt(12)."""
     noisy = hs.load_scenario("noisy-camera")
-    assert f"{number(noisy.camera.noise)} px of noise" in conditioning.analyse(noisy).section().sentences[0]
-    quiet = noisy.updated({"camera.noise": 0.0})
-    assert "0.1 px of noise" in conditioning.analyse(quiet).section().sentences[0]
+    for noise, rounding, words in (
+        (0.5, 0.0, "0.5 px of noise in"),
+        (0.05, 2.0, "0.58 px of noise and rounding in"),
+        (0.0, 20.0, "5.77 px of rounding in"),
+        (0.0, 0.0, "0.1 px of noise in"),
+    ):
+        found = conditioning.analyse(noisy.updated({"camera.noise": noise, "camera.quantisation": rounding}))
+        assert found.noise == pytest.approx(np.hypot(noise, rounding / np.sqrt(12.0)) or 0.1)
+        (sentence, *_) = found.section().sentences
+        assert words in sentence
+        assert f"uncertain by {numbers(1e3 * found.noise * found.start.pose_sigma[:3])} mm" in sentence
 
 
 # ---- the pose of the goal -------------------------------------------------------------------------------------------
@@ -329,6 +340,33 @@ def test_a_square_of_the_table_is_the_square_by_hand(paper: hs.Scenario) -> None
     assert in_plane.pose_sigma[0] == pytest.approx(d * np.sqrt((f**2 + a**2) ** 2 + a**4) / (2 * f * a**2), rel=1e-9)
     again = place(scene, "again", in_plane.features, in_plane.depth, d)
     assert again.worst == in_plane.worst
+
+
+@pytest.mark.parametrize("name", ["paper", "pi-h824", "eye-to-hand", "reachy-mini", "off centre"])
+def test_the_placement_that_is_printed_can_be_typed_into_the_scenario(name: str) -> None:
+    """Its keys as they stand: pixels of the camera, in the image, with the observability of the table."""
+    if name == "off centre":
+        camera = hs.camera_from_opencv(np.array([[905.5, 0, 480.0], [0, 903.0, 400.0], [0, 0, 1]]), None, (1280, 1024))
+        goal = {"desired_pose": [4e-3, -3e-3, 2e-3, -0.01, -0.015, 0.02], "desired_features": None}
+        scenario = hs.load_scenario("pi-h824").updated({"camera": camera, "target": goal})
+    else:
+        scenario = hs.load_scenario(name)
+    analysis = hs.analyse(scenario, ["conditioning"])
+    (section,) = analysis.sections()
+    (table,) = (each for each in section.items if each.title == "Other placements of the points, from home")
+    assert isinstance(table, Table)
+    typed = {key: json.loads(values) for key, values in re.findall(r"target\.(\w+): (\[[^]]*\])", table.note)}
+    assert list(typed) == ["initial_features", "depth"]
+    none = dict.fromkeys(("points", "tag", "grid", "desired_pose"))
+    moved = scenario.updated({"target": {**none, **typed, "desired_features": typed["initial_features"]}})
+    np.testing.assert_allclose(hs.project(moved, np.zeros(6)).ravel(), typed["initial_features"], atol=1e-6)
+    assert not points_outside(moved, scene_of(moved).view(scene_of(moved).home).features).any()
+    found, best = conditioning.analyse(moved).start.pose_sigma, analysis.conditioning.placements[-1].pose_sigma
+    np.testing.assert_allclose(found, best, rtol=0.02)  # whole pixels; the runs start at home
+    circle = image_radius(scene_of(scenario))
+    assert any(f"Within {circle:.0f} px of the principal point and" in each for each in section.sentences)
+    data = analysis.to_dict()["conditioning"]["placements"][-1]["pixels"]
+    np.testing.assert_allclose(data, typed["initial_features"], atol=0.5)
 
 
 def test_features_stay_in_the_picture(paper: hs.Scenario) -> None:

@@ -1153,6 +1153,9 @@ def test_signatures_have_the_numbers_of_the_record() -> None:
     assert (late.camera.period, late.camera.latency) == (0.01, 0.01)
     words = "images in use are up to 30 ms old, with a servo period of 1 ms."
     assert sentence_of("late_camera", late, record_by_hand(outside)).endswith(words)
+    words = "images in use are up to 30 ms old, and by lost frames 40 ms older on average, with a servo period of 1 ms."
+    lost = late.updated({"camera.dropout": 0.8})  # four frames on average
+    assert sentence_of("late_camera", lost, record_by_hand(outside)).endswith(words)
 
     paper = hs.load_scenario("paper")
     words = "The platform rests with 5 px left: its legs move 3 um in the last quarter."
@@ -1174,6 +1177,9 @@ def test_the_signature_of_a_poor_image_has_the_size_of_a_pixel_and_of_the_noise(
         f"In the least observable direction 1 px is {number(pixel)} mm at the target's distance, and the noise of "
         f"0.3 px is {number(0.3 * pixel)} mm."
     )
+    both = np.hypot(0.3, 2.0 / np.sqrt(12.0))
+    sentence = sentence_of("poor_image", scenario.updated({"camera.quantisation": 2.0}), record_by_hand(np.zeros(1001)))
+    assert sentence.endswith(f", and noise and rounding of {number(both)} px are {number(both * pixel)} mm.")
 
 
 # ---- What a user gets -----------------------------------------------------------------------------------------------

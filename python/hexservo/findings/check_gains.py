@@ -137,13 +137,19 @@ def _of_noise(scenario: Scenario, law: str) -> Iterator[str]:
     share = share_of_restarts(scenario, law)
     if share * SELDOM < 1.0:
         return
-    as_assumed = share_of_restarts(scenario, law, true)
+    root = _root_of_weights(scenario, law)
+    as_assumed = share_of_restarts(scenario, law, true * root)
     if as_assumed * SELDOM < 1.0:
-        value, written = apart(assumed, true)
+        value, written = apart(assumed / root, true)
+        by_weights, or_weights = "", ""
+        if root != 1.0:
+            by_weights = ", over the root of the largest of target.weights,"
+            or_weights = f", or the largest weight to {number((assumed / true) ** 2)}"
         yield (
-            f"{law}.noise: {value} px is less than the {written} px of camera.noise and camera.quantisation, so that "
-            f"these alone are beyond {law}.jump and restart the estimate of the target {_how_often(share)}, and the "
-            f"machine may not stay on its goal; set it to {number(true)}"
+            f"{law}.noise: {value} px{by_weights} is less than the {written} px of camera.noise and "
+            f"camera.quantisation, so that these alone are beyond {law}.jump and restart the estimate of the target "
+            f"{_how_often(share)}, and the machine may not stay on its goal; set it to {number(true * root)}"
+            f"{or_weights}"
         )
     else:
         yield (
@@ -179,7 +185,14 @@ def share_of_restarts(scenario: Scenario, law: str, assumed: float | None = None
         return 0.0
     numbers = 3 if value_at(scenario, f"{law}.follow") == "direction" else 6
     within = _core.all_within(value_at(scenario, f"{law}.jump"), numbers)
-    return float(chi2.sf(within * (assumed / true) ** 2, numbers))
+    return float(chi2.sf(within * (assumed / _root_of_weights(scenario, law) / true) ** 2, numbers))
+
+
+def _root_of_weights(scenario: Scenario, law: str) -> float:
+    """Return by what, at most, the filter's noise is divided: it takes a point of weight w for one of noise/sqrt(w)."""
+    if value_at(scenario, f"{law}.follow") == "direction":  # of shares, in which a common factor has no part
+        return 1.0
+    return math.sqrt(float(np.max(scenario.target.weights)))
 
 
 def _of_times(scenario: Scenario, key: str, bandwidth: float) -> Iterator[str]:
@@ -207,7 +220,7 @@ def _out_of_bound(key: str, side: str, bandwidth: float, bound: float) -> str:
 
 
 def image_delay(scenario: Scenario) -> float:
-    """Return how late the image acts, on average [s]: latency, half a frame's period, half a tick, filter, actuators.
+    """Return how late the image acts, on average [s]: its mean age (`image_age`), half a tick, filter, actuators.
 
     Joints carry a predicted image along, and where drives take positions the image is seen from where the legs are sent
     (docs/model.md, section 7): then age and lag act in the share delta/(1 + delta) of the motion, over all points, that

@@ -6,13 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hexservo.findings.analysis.conditioning import Sight, noise_of, sight
+from hexservo.findings.analysis.conditioning import Sight, frames_noise, noise_in_words, noise_of, sight
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.prior import key_of_inverse, legs_of_noise
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.block import SAMPLED_MODE
-from hexservo.scenario.pixels import feature_noise
-from hexservo.scenario.wording import number, quantity
+from hexservo.scenario.wording import quantity
 
 _FEWEST = 3  # points that a law can regulate
 
@@ -35,26 +33,22 @@ def of_points(scene: Scene) -> Iterator[str]:
     if not np.isfinite(view.features).all():
         return
     start, noise = sight("start", view, view.mean_depth, scene), noise_of(scene.scenario)
-    legs = _noise(scene) * legs_of_noise(scene)
+    uncertain = _uncertain(start, noise, noise_in_words(scene.scenario))
+    legs = frames_noise(scene.scenario) * legs_of_noise(scene)
     if legs.max() > scene.stroke:
-        yield f"{_uncertain(start, _noise(scene))}{_of_legs(scene, legs)}"
+        yield f"{uncertain}{_of_legs(scene, legs)}"
     elif start.unobservable(noise):
         yield (
-            f"{_uncertain(start, noise)}: runs may settle far from the goal pose with nearly the goal image; spread "
+            f"{uncertain}: runs may settle far from the goal pose with nearly the goal image; spread "
             "the points over the image, or in depth (`hexservo analyse` compares placements)"
         )
 
 
-def _noise(scene: Scene) -> float:
-    """Return the noise and rounding of the camera's frames [px]; 0 where the image is exact."""
-    return feature_noise(scene.scenario.camera) if scene.scenario.simulation.mode == SAMPLED_MODE else 0.0
-
-
-def _uncertain(start: Sight, noise: float) -> str:
+def _uncertain(start: Sight, noise: float, of_noise: str) -> str:
     shifts = noise * start.pose_sigma[:3]
     axis = int(shifts.argmax())
     return (
-        f"target: at the start {number(noise)} px of noise in one image makes the platform uncertain by "
+        f"target: at the start {of_noise} in one image makes the platform uncertain by "
         f"{quantity(float(shifts[axis]), 'm')} along {'xyz'[axis]}, with the points {quantity(start.length, 'm')} away"
     )
 

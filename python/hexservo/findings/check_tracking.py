@@ -9,7 +9,8 @@ import numpy as np
 
 from hexservo import _core
 from hexservo.findings.analysis.goal import find_goals
-from hexservo.findings.analysis.scene import Scene
+from hexservo.findings.analysis.image_estimate import estimate_of_image
+from hexservo.findings.analysis.scene import Scene, View
 from hexservo.findings.analysis.words import AXES
 from hexservo.findings.check_gains import SELDOM, share_of_restarts
 from hexservo.findings.check_gate import moved_between_frames
@@ -23,6 +24,8 @@ from hexservo.scenario.wording import number, quantity
 
 _TIMES = 1.5  # the noise that the filter assumes, above which what it sees looks like motion
 _ASSUMED = 2.75  # times that noise, up to which assuming more made runs quieter; from 3 times on it made them worse
+_OF_DEPTH = 0.3  # assumed deviation of a place, beyond which runs settle late
+_FINE = 0.1  # of the depth, with which they do not
 _STEPPED = 5.0  # times the rounding in the image that runs had at most, where the filter follows it
 _FEW_FRAMES = 0.5  # periods of a sinusoid from frame to frame, from which on they show it as another motion
 _REMEMBERED = 200.0  # frames, by the line
@@ -35,6 +38,7 @@ def of_tracking(scene: Scene) -> Iterator[str]:
     gains = scene.scenario.controller.gains
     if isinstance(gains, Tracking):
         yield from _of_noise(scene, gains)
+        yield from _of_assumed(scene, gains)
         yield from _of_motion(scene, gains)
         yield from _of_band(scene, gains)
 
@@ -64,6 +68,45 @@ def _of_noise(scene: Scene, gains: Tracking) -> Iterator[str]:
         yield (
             f"sensors.resolution: {steps} and the camera leave {number(true, 2)} px in the image, and "
             f"controller.tracking.noise is {number(gains.noise)} px, so that {takes}; take finer encoders"
+        )
+
+
+def _of_assumed(scene: Scene, gains: Tracking) -> Iterator[str]:
+    """Find an assumed noise far above that of the camera, with which the filter takes a place for unknown.
+
+    It then takes off what the image is not linear in over a part of the depth (`read_pose`), which is no small motion.
+    In runs of four machines (`rubin-camera-positions`, `moog-6dof2000e`, `pi-h824` with five targets) a filter that
+    assumed 0.2 of the depth settled in up to 1.4 times its usual time (with three of the targets up to 3 times), with
+    0.5 of it 2 times as late or not at all, and with all of it hardly any did.
+    """
+    view = scene.view(scene.start)
+    if gains.follow != "pose" or not np.isfinite(view.features).all():
+        return
+    rows, counts = scene.of_pixels(view.features, view.jacobian), np.square(scene.root_weights[:, 0])
+    shifts = gains.noise * np.sqrt(np.diag(np.linalg.inv((rows.T * counts) @ rows)))[:3]
+    true = feature_noise(scene.scenario.camera)
+    estimate = estimate_of_image(rows, counts)
+    axis = int(shifts.argmax())
+    scatter = true * float(np.linalg.norm(estimate[axis]))
+    if shifts[axis] <= max(_OF_DEPTH * view.mean_depth, _ASSUMED * scatter):
+        return
+    counted = counts[counts > 0.0]
+    mean = float(counted.mean())
+    takes = (
+        f"the law's filter assumes that an image leaves the target uncertain by {quantity(float(shifts[axis]), 'm')} "
+        f"along {'xyz'[axis]} (standard deviation), at a distance of {quantity(view.mean_depth, 'm')}, so that runs "
+        "settle late or not at all"
+    )
+    if shifts[axis] * math.sqrt(mean) <= _OF_DEPTH * view.mean_depth:
+        yield (
+            f"target.weights: with controller.tracking.noise, {number(gains.noise)} px, over the root of the weights, "
+            f"{number(mean)} on average, {takes}; take weights about 1"
+        )
+    else:
+        enough = max(true, gains.noise * _FINE * view.mean_depth / float(shifts[axis]))
+        yield (
+            f"controller.tracking.noise: with {number(gains.noise)} px {takes}; camera.noise and camera.quantisation "
+            f"are {number(true)} px: set it to {number(enough)} or less"
         )
 
 
@@ -146,9 +189,9 @@ def off_reference(scene: Scene, gains: Tracking) -> Array:
     The line moves by a share of each reading, one over the frames that it remembers, and the reference is late by
     1/(pi bandwidth): the sum over the frames since is a random walk with half of their variance.
     """
-    filtered, scenario = steady_filter(scene, gains), scene.scenario
-    axes = np.linalg.inv(filtered.along)
-    reading = np.sqrt(np.square(axes) @ np.square(filtered.reading)) * feature_noise(scenario.camera) / gains.noise
+    scenario, view = scene.scenario, _goal_view(scene)
+    rows = scene.of_noise(view.features, view.jacobian)
+    reading = feature_noise(scenario.camera) * np.sqrt(np.diag(np.linalg.inv(rows.T @ rows)))
     frames = 1.0 / (math.pi * gains.bandwidth * frame_period(scenario))
     return np.asarray(reading / _REMEMBERED * math.sqrt(max(frames, 1.0) / 2.0))
 
@@ -217,12 +260,20 @@ def steady_filter(scene: Scene, gains: Tracking) -> SteadyFilter:
     )
 
 
+def _goal_view(scene: Scene) -> View:
+    """Return the view from the goal, or from the start where there is no goal pose."""
+    goals = find_goals(scene)
+    return scene.view(scene.start) if goals is None else goals.best.view
+
+
 def _variance_per_pixel(scene: Scene, gains: Tracking) -> Array:
-    """Return the variance of what is followed, by 1 px of noise: of a pose (6, 6) or a place (3, 3) in B."""
+    """Return the variance that the filter assumes of what is followed, with a `noise` of 1 px.
+
+    Of a pose (6, 6) or a place (3, 3) in B; a point of weight w is taken for one with 1/w of the variance.
+    """
     if gains.follow == "pose":
-        goals = find_goals(scene)
-        view = scene.view(scene.start) if goals is None else goals.best.view
-        jacobian = scene.of_noise(view.features, view.jacobian)
+        view = _goal_view(scene)
+        jacobian = scene.root_weights * scene.of_pixels(view.features, view.jacobian)
         return np.asarray(np.linalg.inv(jacobian.T @ jacobian))
     view = scene.view(scene.start)
     share = float(np.linalg.norm(scene.shares))

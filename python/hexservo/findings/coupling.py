@@ -9,6 +9,7 @@ import numpy as np
 
 from hexservo import _core
 from hexservo.findings.analysis.goal import SHOWN
+from hexservo.findings.analysis.image_estimate import estimate_of_image
 from hexservo.findings.analysis.rest import Rest
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.prior import key_of_inverse, left_by_inverse, weight_of_inverse
@@ -136,9 +137,8 @@ def noise_at_rest(scene: Scene) -> Noise:
         return Noise(math.nan, math.nan)
     root = np.sqrt(machine.inertia)
     scale, seen = root * root[:, None], machine.jacobian[machine.weights > 0.0] / root
-    weighted = machine.jacobian.T * machine.weights
     try:
-        estimate = np.linalg.solve(machine.information + np.diag(weight_of_inverse(scene, key)), weighted)
+        estimate = estimate_of_image(machine.jacobian, machine.weights, weight_of_inverse(scene, key))
     except np.linalg.LinAlgError:
         return Noise(math.nan, math.nan)
     auto = auto_of(scenario)

@@ -10,6 +10,7 @@ import math
 import numpy as np
 
 from hexservo import _core
+from hexservo.findings.analysis.image_estimate import estimate_of_image
 from hexservo.findings.analysis.scene import Scene
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.fitted import Machine
@@ -73,10 +74,10 @@ def legs_of_noise(scene: Scene) -> Array:
         return np.zeros(6)
     view = scene.view(scene.start)
     units = np.repeat([1.0, view.mean_depth], 3)  # columns of one size
-    jacobian = scene.of_noise(view.features, view.jacobian) / units
-    weight = np.diag(weight_of_inverse(scene, key) / units**2) if key else np.zeros((6, 6))
+    jacobian = scene.of_pixels(view.features, view.jacobian) / units
+    weight = weight_of_inverse(scene, key) / units**2 if key else None
     try:
-        estimate = np.linalg.solve(jacobian.T @ jacobian + weight, jacobian.T)
+        estimate = estimate_of_image(jacobian, np.square(scene.root_weights[:, 0]), weight)
     except np.linalg.LinAlgError:
         return np.full(6, np.nan)
     return np.asarray(np.linalg.norm((scene.wrench_maps(scene.start).T / units) @ estimate, axis=1))

@@ -16,6 +16,8 @@ from hexservo.scenario.block import SAMPLED_MODE
 if TYPE_CHECKING:
     from hexservo.scenario.blocks import Blocks
 
+_NEVER = 700.0  # an exponent that is still a number
+
 Settings = _core.Settings
 """A scenario in the core, by dotted keys: ``settings["camera.noise"]``."""
 
@@ -130,7 +132,27 @@ def image_age(scenario: Blocks) -> float:
     if scenario.simulation.mode != SAMPLED_MODE:
         return 0.0
     camera = scenario.camera
-    return camera.latency + 0.5 * camera.latency_jitter + 0.5 * (frame_period(scenario) - scenario.simulation.step)
+    late = camera.latency + 0.5 * camera.latency_jitter + 0.5 * (frame_period(scenario) - scenario.simulation.step)
+    return late + lost_frames_wait(scenario)
+
+
+def lost_frames_wait(scenario: Blocks) -> float:
+    """Return how much older images are on average by frames that never arrive, ``camera.dropout`` [s].
+
+    In sampled mode. Each tick has j lost frames behind it with the share (1 - p) p^j, of frames that are lost with the
+    probability p. Images older than ``camera.timeout`` are not used: a j beyond the number of frames that may be
+    lost does not count. Where every frame is lost no image is used, and none is older.
+    """
+    camera, period = scenario.camera, frame_period(scenario)
+    if camera.dropout in (0.0, 1.0):
+        return 0.0
+    decay = -math.log(camera.dropout)  # of the share, from frame to frame
+    lost = 1.0 / math.expm1(decay)  # p/(1 - p)
+    if camera.timeout is not None:
+        step = scenario.simulation.step
+        used = (camera.timeout + step - camera.latency - 0.5 * camera.latency_jitter) / period  # frames in that time
+        lost -= used / math.expm1(min(used * decay, _NEVER))
+    return lost * period
 
 
 def actuators_lag(scenario: Blocks) -> float:

@@ -15,7 +15,9 @@ from hexservo.findings.analysis.loop_of_scenario import LoopAtRest, proportional
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.analysis.words import AXES, finite, in_ms
 from hexservo.findings.evidence import Cell, Column, HeatMap, Line, Section, Table, Verdict, picked
-from hexservo.scenario.parameters import timeout_room
+from hexservo.scenario.parameters import lost_frames_wait, timeout_room
+from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.wording import quantity
 
 PAGE = "docs/analysis/camera_rate.md"
 
@@ -56,7 +58,8 @@ def _verdict(result: CameraRate, clock: Clock, acting: Margins) -> Verdict:
         return "warning"
     beyond = any(border.own.share > 1.0 for border in result.limits.values())
     small = acting.gain[1] is not None and acting.gain[1] < ENOUGH_GAIN
-    late = acting.latency.unstable is not None and acting.latency.unstable - clock.latency <= clock.period
+    waits = lost_frames_wait(result.scenario) / result.scenario.simulation.step
+    late = acting.latency.unstable is not None and acting.latency.unstable - clock.latency - waits <= clock.period
     doubtful = any(run.conclusive and not run.agrees for run in result.runs)
     return "warning" if small or late or acting.drifts or doubtful or beyond or not acting.perfect else "good"
 
@@ -214,6 +217,21 @@ def _about_learned(result: CameraRate, tick: float) -> list[str]:
     ]
 
 
+def _lost_frames_in_words(scenario: Scenario, clock: Clock, acting: Margins, tick: float) -> str:
+    """Return how much older lost frames make the image, and whether a latency that is longer by that is stable."""
+    outside = "Lost frames are not part of the linear loop"
+    wait = lost_frames_wait(scenario)
+    if wait == 0.0:
+        return f"{outside}; here no frame arrives."
+    late = clock.latency * tick + wait
+    stable = acting.latency.stable
+    what = f"{outside}: on average they make the image {quantity(wait, 's')} older (camera.dropout)"
+    if stable is None or acting.latency.unstable is None:
+        return f"{what}."
+    side = "beyond" if late > stable * tick else "inside"
+    return f"{what}; a latency that is longer by that, {quantity(late, 's')}, is {side} the limit, if it were constant."
+
+
 def _about_limits(result: CameraRate, at_rest: LoopAtRest, clock: Clock, acting: Margins) -> list[str]:
     scenario, tick = result.scenario, at_rest.scenario.simulation.step
     found = []
@@ -230,7 +248,7 @@ def _about_limits(result: CameraRate, at_rest: LoopAtRest, clock: Clock, acting:
             + ("beyond the limit." if beyond else "inside the limit, if it were constant.")
         )
     if scenario.camera.dropout > 0.0:
-        found.append("Lost frames are not part of the linear loop; each one is a period twice as long.")
+        found.append(_lost_frames_in_words(scenario, clock, acting, tick))
     if (room := timeout_room(scenario)) is not None:
         both = (("period", clock.period, acting.period), ("latency", clock.latency, acting.latency))
         ends = [
@@ -397,6 +415,7 @@ def _data(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins) 
                 "share": finite(border.use.share),
                 "own_limit": border.own.limit.kind,
                 "own_share": finite(border.own.share),
+                "at_end": None if border.at_end is None else picked(border.at_end, "lasts moved speed"),
             }
             for key, border in result.limits.items()
         },

@@ -9,6 +9,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 
 from hexservo.findings.analysis.linear_loop import Clock
+from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import ALL_AXES, scene_of
 from hexservo.findings.analysis.tried import ROUNDS, bordering, quarters
 from hexservo.run.batch import metrics_of, simulate_batch, whole
@@ -32,6 +33,8 @@ _QUIET, _MOVING = 0.05, 0.5  # of the largest motion: the last part has less at 
 _HELD = 0.95  # of the starting error, at least, is left at the end of a run that K_v holds there
 _SMALL = 0.05  # of `metrics.band`, within which a motion that goes on is no failure
 _LATE, _GROWN = 8, 1.25  # parts of a run, after which its error is at most so many times that before, or it grows
+_STILL = 0.01  # of the stroke: legs that move by less in the last part of a run are at rest
+_SAMPLES = 2000  # of a run, of which the last part is looked at
 _GRID = 12  # clocks in the first round of a search for the stroke's border
 
 Ending: TypeAlias = Literal["settles", "held", "no nearer", "hunts", "goes on", "limit", "ended", "open"]
@@ -59,6 +62,16 @@ class StartRun:
 
 
 @dataclass(frozen=True)
+class LegsAtEnd:
+    """Legs that still move at the end of a run of the task, which a longer run may take beyond their limits."""
+
+    ticks: int  # period or latency of the run
+    lasts: float  # [s], the last part of the run
+    moved: float  # largest change of a leg's travel in it [m], of rotary legs [rad]
+    speed: float  # largest speed of a leg in it [m/s; rad/s]
+
+
+@dataclass(frozen=True)
 class LimitBorder:
     """Largest period or latency with all legs within their limits in runs of the task, with the scenario's K_v.
 
@@ -71,6 +84,8 @@ class LimitBorder:
     use: LimitUse  # of the limit that is used most at `beyond`, else at `largest`; infinite where the run ends early
     own: LimitUse  # at the scenario's own clocks
     perfect: LimitUse | None  # with a frame at every tick and no latency, where `own` is beyond; None: it is not
+    # in the run at `within`; None: they are at rest, or there is none
+    at_end: LegsAtEnd | None = None
 
 
 def start_runs(home: Scenario, slowest: float) -> tuple[StartRun, ...]:
@@ -199,7 +214,25 @@ def limit_border(task: Scenario, key: Literal["period", "latency"], clock: Clock
     if uses[own].share > 1.0:
         least = 1 if key == "period" else 0
         (perfect,) = used(with_perfect_camera(task), [least])
-    return LimitBorder(last, beyond, top, uses[top if beyond is None else beyond], uses[own], perfect)
+    at_end = None if last is None else _legs_at_end(task.updated({f"camera.{key}": last * tick}), last)
+    return LimitBorder(last, beyond, top, uses[top if beyond is None else beyond], uses[own], perfect, at_end)
+
+
+def _legs_at_end(task: Scenario, ticks: int) -> LegsAtEnd | None:
+    """Return how the legs move in the last part of a run, in which one moves by more than `_STILL` of the stroke."""
+    step = task.simulation.step
+    every = max(1, int(task.simulation.duration / step) // _SAMPLES)
+    result = uninterrupted(simulate(task.updated({"simulation.log_every": every})))
+    scene = scene_of(task)
+    first = int(np.searchsorted(result.time, (1.0 - 1.0 / _PARTS) * result.time[-1]))
+    travel = scene.leg_travel(Poses(result.position[first:], result.quaternion[first:]))
+    if len(travel) < 2 or not np.isfinite(travel).all():
+        return None
+    moved = float(np.ptp(travel, axis=0).max())
+    if moved <= _STILL * scene.stroke:
+        return None
+    rates = np.abs(np.diff(travel, axis=0)) / np.diff(result.time[first:])[:, None]
+    return LegsAtEnd(ticks, float(result.time[-1] - result.time[first]), moved, float(rates.max()))
 
 
 def with_perfect_camera(scenario: Scenario) -> Scenario:

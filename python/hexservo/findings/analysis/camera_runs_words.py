@@ -6,11 +6,13 @@ import numpy as np
 
 from hexservo.findings.analysis.camera_margins import Margins
 from hexservo.findings.analysis.camera_rate import LEAST_CHANGE, OF_GROWTH, CameraRate
+from hexservo.findings.analysis.camera_runs import LimitBorder
 from hexservo.findings.analysis.loop_of_scenario import OFFSET as START
 from hexservo.findings.analysis.words import in_ms, number
 from hexservo.run.leg_limits import LimitUse, limits_of_motion
 from hexservo.scenario.leg_units import leg_units
 from hexservo.scenario.pixels import feature_noise
+from hexservo.scenario.wording import quantity
 
 _ENDINGS = {
     "settles": "comes to rest",
@@ -103,6 +105,7 @@ def _causes_in_words(result: CameraRate) -> list[str]:
 def legs_in_words(result: CameraRate, tick: float) -> list[str]:
     """Describe how stroke, speed and joints of the legs, which are not in the linear loop, limit period and latency."""
     found = []
+    duration = quantity(result.scenario.simulation.duration, "s")
     perfect = next((border.perfect for border in result.limits.values() if border.perfect is not None), None)
     if perfect is not None:  # the scenario's own period and latency are one run
         own = next(iter(result.limits.values())).own
@@ -110,15 +113,15 @@ def legs_in_words(result: CameraRate, tick: float) -> list[str]:
         if perfect.share > 1.0:
             also = f"{with_it} it {perfect.excess}: the camera is not the cause"
         else:
-            also = f"{with_it} the legs stay within {_limits(result)} (at most {_use(perfect)})"
+            also = f"{with_it} the legs stay within {_limits(result)} for {duration} (at most {_use(perfect)})"
         return [f"With the scenario's own camera the task {own.excess}; {also}."]
     for key, border in result.limits.items():
         if border.within is None:
             found.append(f"With the scenario's own {key} the task {border.use.excess}.")
         elif border.beyond is None:
             found.append(
-                f"In runs of the task at each {key} tried, up to {in_ms(border.largest * tick)}, the legs stay within "
-                f"{_limits(result)} (at most {_use(border.use)})."
+                f"In runs of the task of {duration} at each {key} tried, up to {in_ms(border.largest * tick)}, the "
+                f"legs stay within {_limits(result)} (at most {_use(border.use)}).{_at_end(result, border, tick)}"
             )
         else:
             kind = border.use.limit.kind
@@ -126,10 +129,24 @@ def legs_in_words(result: CameraRate, tick: float) -> list[str]:
                 kind, f"The {kind.replace('_', ' ')}s limit"
             )
             found.append(
-                f"{what} the {key}: runs of the task keep the legs within {_limits(result)} up to "
+                f"{what} the {key}: runs of the task of {duration} keep the legs within {_limits(result)} up to "
                 f"{in_ms(border.within * tick)}; at {in_ms(border.beyond * tick)} the task {border.use.excess}."
+                f"{_at_end(result, border, tick)}"
             )
     return found
+
+
+def _at_end(result: CameraRate, border: LimitBorder, tick: float) -> str:
+    """Return that the run at the largest time within the limits is not over: a longer one may exceed them."""
+    end = border.at_end
+    if end is None:
+        return ""
+    unit = _leg_unit(result)
+    return (
+        f" At {in_ms(end.ticks * tick)} they still move at the end of the run, in the last "
+        f"{quantity(end.lasts, 's', 2)} by up to {number(1e3 * end.moved)} {unit} at up to "
+        f"{number(1e3 * end.speed)} {unit}/s: a longer run may take them farther."
+    )
 
 
 def _limits(result: CameraRate) -> str:

@@ -12,7 +12,10 @@ from hexservo.findings.analysis.poses import without_sign
 from hexservo.findings.analysis.scene import Scene, View, scene_of
 from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.block import SAMPLED_MODE
+from hexservo.scenario.pixels import feature_noise
 from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.wording import number
 
 NOISE = 0.1  # [px], for the sentences; half of what the prior of `composite` takes a camera to have
 _OF_DEPTH = 0.5  # uncertainty beyond which a position is not observable
@@ -98,9 +101,20 @@ def analyse(scenario: Scenario) -> Conditioning:
 
 
 def noise_of(scenario: Scenario) -> float:
-    """Return the noise [px] by which a target is judged: that of the camera if it has any, otherwise 0.1 px."""
-    noisy = scenario.simulation.mode == "sampled" and scenario.camera.noise > 0
-    return scenario.camera.noise if noisy else NOISE
+    """Return the noise [px] by which a target is judged: that of the camera's frames, otherwise 0.1 px."""
+    return frames_noise(scenario) or NOISE
+
+
+def frames_noise(scenario: Scenario) -> float:
+    """Return the noise and rounding of the camera's frames [px]; 0 where the image is exact."""
+    return feature_noise(scenario.camera) if scenario.simulation.mode == SAMPLED_MODE else 0.0
+
+
+def noise_in_words(scenario: Scenario) -> str:
+    """Return `noise_of`, and what it is of."""
+    rounded = scenario.camera.quantisation > 0.0
+    kinds = ["noise"] * (scenario.camera.noise > 0.0 or not rounded) + ["rounding"] * rounded
+    return f"{number(noise_of(scenario))} px of {' and '.join(kinds)}"
 
 
 def sight(place: str, view: View, length: float, scene: Scene) -> Sight:
@@ -115,7 +129,7 @@ def sight(place: str, view: View, length: float, scene: Scene) -> Sight:
     length
         L, of what turns are multiplied by [m].
     scene
-        Whose camera has the noise: 1 px of it in each coordinate, of a point of weight w 1/w of the variance.
+        Whose camera has the noise, 1 px of it in each coordinate, and whose points count by their weights.
     """
     jacobian = scene.of_noise(view.features, view.jacobian)
     units = np.repeat([1.0, length], 3)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from hexservo.findings.analysis.conditioning import Conditioning, Sight
+from hexservo.findings.analysis.conditioning import Conditioning, Sight, noise_in_words
 from hexservo.findings.analysis.goal import SHOWN, TOLERANCE
 from hexservo.findings.analysis.placement import (
     DEPTH_SHARE,
-    Placement,
     corner_angles,
     farthest,
     image_radius,
@@ -19,6 +18,7 @@ from hexservo.findings.analysis.placement import (
 from hexservo.findings.analysis.words import displacement_words, motion_in_words, number, numbers
 from hexservo.findings.evidence import Cell, Column, Curves, Line, Section, Table, Verdict, picked
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.pixels import to_pixels
 
 PAGE = "docs/analysis/conditioning.md"
 _GRIP = 0.1  # of the stroke: a pose that is less certain than this, at the camera's noise, is worth a warning
@@ -37,7 +37,7 @@ def section(found: Conditioning) -> Section:
         name="conditioning",
         title="Pose observability from one image",
         sentences=_sentences(found, sights),
-        items=(_sights_table(sights), _directions_table(sights), _placement_table(found.placements), _curves(found)),
+        items=(_sights_table(sights), _directions_table(sights), _placement_table(found), _curves(found)),
         verdict=_verdict(found, sights),
         data=_data(found, sights),
     )
@@ -54,7 +54,7 @@ def _verdict(found: Conditioning, sights: list[Sight]) -> Verdict:
 
 def _sentences(found: Conditioning, sights: list[Sight]) -> list[str]:
     words = [
-        f"At the {sight.place}, {number(found.noise)} px of noise in each coordinate (1 sigma) makes the pose "
+        f"At the {sight.place}, {noise_in_words(found.scene.scenario)} in each coordinate (1 sigma) makes the pose "
         f"uncertain by {numbers(1e3 * found.noise * sight.pose_sigma[:3])} mm along x, y and z and by "
         f"{numbers(1e3 * found.noise * sight.pose_sigma[3:])} mrad about them."
         for sight in sights[:2]
@@ -78,7 +78,7 @@ def _sentences(found: Conditioning, sights: list[Sight]) -> list[str]:
     own, best = found.placements[0], found.placements[-1]
     cheap = found.placements[1]
     words.append(
-        f"Within {image_radius(found.scene):.0f} px of the image centre and {DEPTH_SHARE:.0%} of the depth, other "
+        f"Within {image_radius(found.scene):.0f} px of the principal point and {DEPTH_SHARE:.0%} of the depth, other "
         f"placements of the points make the worst direction {_times(own.worst / best.worst)} "
         f"({number(1e3 * own.worst)} mm per px originally, {number(1e3 * best.worst)} mm with the best found); "
         + (
@@ -141,7 +141,7 @@ def _curves(found: Conditioning) -> Curves:
     best = found.placements[-1]
     return Curves(
         title="Worst direction for different placements of the points",
-        x_label="largest distance of a feature from the image centre [px]",
+        x_label="largest distance of a feature from the principal point [px]",
         y_label="worst direction, rotations scaled by the depth [mm per px of noise]",
         lines=(
             Line(f"{shape_name(count)} in a plane", radii, worst(plane)),
@@ -179,6 +179,7 @@ def _data(found: Conditioning, sights: list[Sight]) -> dict[str, object]:
         "placements": [
             {
                 **picked(placement, "name features depth"),
+                "pixels": to_pixels(found.scene.scenario, placement.features),
                 "pose_sigma_per_px": placement.pose_sigma,
                 "worst_per_px": placement.worst,
             }
@@ -236,8 +237,13 @@ def _directions_table(sights: list[Sight]) -> Table:
     )
 
 
-def _placement_table(placements: tuple[Placement, ...]) -> Table:
-    own = placements[0]
+def _listed(values: Array) -> str:
+    return f"[{', '.join(f'{value + 0.0:.4g}' for value in values)}]"
+
+
+def _placement_table(found: Conditioning) -> Table:
+    own, best = found.placements[0], found.placements[-1]
+    pixels = to_pixels(found.scene.scenario, best.features)
     return Table(
         title="Other placements of the points, from home",
         columns=(
@@ -247,13 +253,9 @@ def _placement_table(placements: tuple[Placement, ...]) -> Table:
         ),
         rows=[
             (placement.name, *(1e3 * placement.pose_sigma), 1e3 * placement.worst, own.worst / placement.worst)
-            for placement in placements
+            for placement in found.placements
         ],
-        note="The best found: "
-        + "; ".join(
-            f"({x:.0f}, {y:.0f}) px at {-z:.4g} m"
-            for (x, y), z in zip(placements[-1].features.reshape(-1, 2) + 0.0, placements[-1].depth, strict=True)
-        )
-        + ". Moved points need a new goal image.",
+        note=f"The best found, as a scenario takes it, in pixels of its camera and metres: target.initial_features: "
+        f"{_listed(np.round(pixels))}, target.depth: {_listed(-best.depth)}. Moved points need a new goal image.",
         page=PAGE,
     )

@@ -20,6 +20,7 @@ from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array, Complex, Mask
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.wording import quantity
 
 SIZES = (0.05, 0.3)  # of depth errors, beside the scenario's own
 LARGEST = 0.95  # that is searched; at 1 an assumed depth is zero
@@ -137,7 +138,7 @@ class _Worker:
         self.late = lateness(scenario)
         self.drive, self.driven_by = self._drive()
         if self.late:
-            self.driven_by += f", with an image carried on over {1e3 * self.late.mean:.3g} ms, {self.late.of}"
+            self.driven_by += f", with an image carried on over {quantity(self.late.mean, 's')}, {self.late.of}"
         at_start = self.springs_over_damping(np.eye(6), self.true[0], self.true[0])
         scaled = (self.drive if self.integrates else at_start) * self.rest.unit / self.rest.unit[:, None]
         self.springs = 6 - int(np.linalg.matrix_rank(scaled))  # axes in which no error becomes a velocity

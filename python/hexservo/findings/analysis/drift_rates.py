@@ -9,7 +9,7 @@ import numpy as np
 
 from hexservo.scenario.arrays import Array, Complex
 from hexservo.scenario.block import SAMPLED_MODE
-from hexservo.scenario.parameters import actuators_lag, frame_period, image_age
+from hexservo.scenario.parameters import actuators_lag, frame_period, image_age, lost_frames_wait
 from hexservo.scenario.scenario import Scenario
 
 _UNDER_WAY = 3  # images that are exposed and not yet used, at most: more are taken together
@@ -22,7 +22,7 @@ class Lateness:
     """How late the law has the image, behind the pose that it moves: images are held, one after the other."""
 
     mean: float  # [s]
-    hold: float  # [s], of one image
+    hold: float  # [s], of one image: with lost frames on average
     of: str  # what is late
 
 
@@ -40,7 +40,9 @@ def lateness(scenario: Scenario) -> Lateness | None:
     if scenario.simulation.mode != SAMPLED_MODE or mean <= 0.0:
         return None
     kinds = ["its mean age"] * (age > 0.0) + ["the lag of the legs"] * (mean > age)
-    return Lateness(mean, frame_period(scenario) if predicts else step, " and ".join(kinds))
+    return Lateness(
+        mean, frame_period(scenario) + lost_frames_wait(scenario) if predicts else step, " and ".join(kinds)
+    )
 
 
 def late_rates(moved: Array, held: Array, late: Lateness) -> Complex:

@@ -33,7 +33,7 @@ class Placement:
 
 
 def image_radius(scene: Scene) -> float:
-    """Return the radius about the image centre within which features may be placed [px].
+    """Return the radius about the principal point within which features may be placed [px].
 
     95 % of half the smaller side of ``camera.image_size``, or where pixels are not features of the largest circle
     of features that is in the image; without an image size 22 degrees off the axis (240 px for the paper's camera), or
@@ -60,12 +60,12 @@ def _widest(scenario: Scenario, most: float) -> float:
 
 
 def farthest(features: Array) -> float:
-    """Return the largest distance of features (2p,) from the image centre [px]."""
+    """Return the largest distance of features (2p,) from the principal point [px]."""
     return float(np.hypot(*features.reshape(-1, 2).T).max())
 
 
 def in_circle(radius: Array | float, angles: Array) -> Array:
-    """Return features (2p,) [px] at these distances from the image centre [px] and angles (p,) [rad]."""
+    """Return features (2p,) [px] at these distances from the principal point [px] and angles (p,) [rad]."""
     return np.column_stack([radius * np.cos(angles), radius * np.sin(angles)]).ravel()
 
 
@@ -108,7 +108,7 @@ def placements(scene: Scene) -> tuple[Placement, ...]:
     """Compare the scenario's features with standard ones and with the best that a search finds, the last one.
 
     All are judged at home, with the mean depth of the scenario's points. The search is local, from several starts
-    (SLSQP over distance from the image centre, angle and depth of each point), minimises `Placement.worst` within
+    (SLSQP over distance from the principal point, angle and depth of each point), minimises `Placement.worst` within
     `image_radius` and `DEPTH_SHARE`, and proves no optimum.
     """
     own = scene.view(scene.home)
@@ -156,7 +156,7 @@ def _but(point: int, count: int, factor: float) -> Array:
 
 
 def _scaled(scene: Scene, features: Array, depth: Array, length: float) -> Array:
-    """Return sqrt(W) J of the camera's pixels at home with rotations scaled by a length, (2p, 6) [px/m]."""
+    """Return `Scene.of_noise` at home with rotations scaled by a length, (k, 6) [px/m]."""
     jacobian = scene.of_noise(features, scene.jacobian(features, depth, scene.home))
     return np.asarray(jacobian / np.repeat([1.0, length], 3))
 

@@ -11,6 +11,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from hexservo import _core
+from hexservo.findings.analysis.image_estimate import rows_of_estimate
 from hexservo.findings.analysis.poses import Poses
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.fitted import Machine, machine_of
@@ -240,19 +241,25 @@ class Scene:
 
     @property
     def root_weights(self) -> Array:
-        """(2p, 1), root of what each coordinate counts: rows of a Jacobian times it have the same noise."""
+        """(2p, 1), root of what each coordinate counts in the controller's sums."""
         return np.asarray(np.sqrt(np.repeat(self.settings["target.weights"], 2))[:, None])
 
-    def of_noise(self, features: Array, jacobian: Array) -> Array:
-        """Return rows of a Jacobian (2p, 6) of features (2p,) as rows that all have the noise of a pixel.
+    def of_pixels(self, features: Array, jacobian: Array) -> Array:
+        """Return a Jacobian (2p, 6) of features (2p,) as that of the camera's pixels, which have the noise.
 
-        Noise is that of the camera's pixels, which lens and second focal length make others than features. A point that
-        the lens does not show gives nothing.
+        Lens and second focal length make them others than features. A point that the lens does not show gives nothing.
         """
-        if has_pixels(self.scenario.camera):
-            slopes = pixel_slopes(self.scenario, features)
-            jacobian = np.nan_to_num((slopes @ jacobian.reshape(-1, 2, 6)).reshape(jacobian.shape), nan=0.0)
-        return np.asarray(self.root_weights * jacobian)
+        if not has_pixels(self.scenario.camera):
+            return jacobian
+        slopes = pixel_slopes(self.scenario, features)
+        return np.nan_to_num((slopes @ jacobian.reshape(-1, 2, 6)).reshape(jacobian.shape), nan=0.0)
+
+    def of_noise(self, features: Array, jacobian: Array) -> Array:
+        """Return rows (k, 6) of which plain least squares has the noise of the pose estimated from an image.
+
+        Of the weighted least squares of the pixels (`rows_of_estimate`), for a Jacobian (2p, 6) of features (2p,).
+        """
+        return rows_of_estimate(self.of_pixels(features, jacobian), np.square(self.root_weights[:, 0]))
 
     @property
     def image_noise(self) -> float:

@@ -17,8 +17,8 @@ from hexservo.findings.diagnosis.model import Case
 from hexservo.run.leg_limits import LimitUse, limits_of_motion, most_used
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.leg_units import leg_units, stroke_length
-from hexservo.scenario.parameters import frame_period
-from hexservo.scenario.pixels import desired_features, points_outside
+from hexservo.scenario.parameters import frame_period, lost_frames_wait
+from hexservo.scenario.pixels import desired_features, feature_noise, points_outside
 from hexservo.scenario.wording import number, quantity
 
 _TAIL = 0.25  # the last part of a run, in which it rests or does not
@@ -165,8 +165,10 @@ def _late_camera(case: Case, record: Record, judgement: Judgement) -> Signature:
     largest = error[:, int(np.argmax(np.abs(error).max(axis=0)))]
     swings = int((np.diff(np.sign(largest[np.abs(largest) > case.scenario.metrics.band])) != 0).sum())
     age = camera.latency + camera.latency_jitter + frame_period(case.scenario)
+    wait = lost_frames_wait(case.scenario)
+    lost = f", and by lost frames {quantity(wait, 's')} older on average" if wait > 0.0 else ""
     sentence = (
-        f"The error crosses zero {swings} times; images in use are up to {number(age * 1e3)} ms old, with a "
+        f"The error crosses zero {swings} times; images in use are up to {number(age * 1e3)} ms old{lost}, with a "
         f"servo period of {number(case.scenario.simulation.step * 1e3)} ms."
     )
     return Signature(min(1.0, swings / 3.0), sentence)
@@ -174,12 +176,16 @@ def _late_camera(case: Case, record: Record, judgement: Judgement) -> Signature:
 
 def _poor_image(case: Case, record: Record, judgement: Judgement) -> Signature:
     worst = pixels_per_metre(*seen_from_home(case.scenario))
-    noise = case.scenario.camera.noise if case.scenario.simulation.mode == "sampled" else 0.0
+    noise = feature_noise(case.scenario.camera) if case.scenario.simulation.mode == "sampled" else 0.0
     wander = noise / worst
     sentence = f"In the least observable direction 1 px is {number(1e3 / worst)} mm at the target's distance"
-    sentence += (
-        f", and the noise of {number(noise)} px is {number(wander * 1e3)} mm." if noise else "; there is no noise."
-    )
+    if noise:
+        what = (
+            "the noise of {} px is" if case.scenario.camera.quantisation == 0.0 else "noise and rounding of {} px are"
+        )
+        sentence += f", and {what.format(number(noise))} {number(wander * 1e3)} mm."
+    else:
+        sentence += "; there is no noise."
     return Signature(min(1.0, wander / (_WANDER * stroke_length(case.scenario.robot))), sentence)
 
 
