@@ -1,4 +1,4 @@
-"""Gates of the camera that are legal and probably unintended: those that lose a right point, for a while or for good."""
+"""Gates of the camera that are legal and probably unintended: those that lose right points."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ def of_gate(scene: Scene) -> Iterator[str]:
     noise = noise_at_gate(scene.scenario)
     if camera.gate < least_for_noise(noise):
         yield (
-            f"camera.gate: {number(camera.gate)} px {rejects(camera.gate, noise)}, so that the law acts on older images "
-            f"and, beyond camera.timeout, on none; take a gate of at least {above(least_for_noise(noise), 2)} px"
+            f"camera.gate: {number(camera.gate)} px {rejects(camera.gate, noise)}, so that the law acts on older "
+            f"images and, beyond camera.timeout, on none; take a gate of at least {above(least_for_noise(noise), 2)} px"
         )
     moved = moved_in_image(scene)
     if moved > camera.gate:
