@@ -144,7 +144,7 @@ def test_check_notes_a_target_that_moves_farther_than_the_gate(
 def test_a_gate_rejects_the_share_of_right_points_that_is_stated(
     machine: hs.Scenario, gate: float, noise: float
 ) -> None:
-    """Of a platform that stands still: a point whose image stays as it was from frame to frame was rejected."""
+    """Of a platform that stands still: a point whose image stays the same from frame to frame was rejected."""
     camera = {"gate": gate, "noise": noise, "timeout": 6.0, "quantisation": 0.0, "dropout": 0.0, "latency_jitter": 0.0}
     scenario = machine.updated(
         {

@@ -93,7 +93,7 @@ def test_a_point_of_a_swinging_target_is_outside_for_the_share_of_a_sinusoid(log
 
 def test_outputs_of_a_run_state_the_points_that_leave_the_image(half_turn: hs.Scenario, tmp_path: Path) -> None:
     run = hs.simulate(half_turn)
-    assert np.isfinite(hs.metrics(run)["settling_time"])  # so that nothing else says it
+    assert np.isfinite(hs.metrics(run)["settling_time"])  # so that nothing else states it
     found = unseen_points(run)
     assert {one.point for one in found} == {1, 2, 3, 4}
     (sentence,) = (words for words in summary_sentences(run) if words.startswith("Outside of the image"))

@@ -49,7 +49,7 @@ def unseen_points(result: Result) -> tuple[UnseenPoint, ...]:
     lasts = np.append(np.diff(result.time), 0.0)
     return tuple(
         UnseenPoint(point + 1, float(result.time[outside[:, point].argmax()]), float(lasts[outside[:, point]].sum()))
-        for point in np.flatnonzero(outside.any(axis=0))
+        for point in np.flatnonzero(outside.any(axis=0)).tolist()
     )
 
 
@@ -72,7 +72,7 @@ def unseen_sentence(result: Result) -> str | None:
 
 
 def _thin(result: Result) -> str:
-    """Return that the log has not every frame, as a sentence of its own; "" where it has."""
+    """Return that the log has not every frame, as a separate sentence; "" where it has."""
     grid = result.scenario.simulation
     logged, period = grid.log_every * grid.step, frame_period(result.scenario)
     if logged <= period * (1.0 + _ROUNDING):

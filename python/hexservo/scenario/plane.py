@@ -38,8 +38,8 @@ def triangle_of_plane(points: Array) -> Triangle | None:
 def side_of_plane(features: Any, triangle: Triangle) -> Array:
     """Return on which side of the plane of a triangle the camera is: 1 or -1, 0 in it, NaN where a point is not seen.
 
-    It is the sense in which the camera sees the corners one after the other: where all three are before it, that
-    changes where the camera passes through their plane, and nowhere else.
+    It is the sense of rotation of the three corners in the image: where all of them are before the camera, it changes
+    where the camera passes through their plane, and nowhere else.
 
     Parameters
     ----------
