@@ -132,9 +132,25 @@ def test_check_notes_points_that_leave_the_image_on_the_straight_way(half_turn: 
 
     (note,) = notes({})
     assert "which pbvs takes, points 1, 2, 3, 4 leave the image of 640 x 360 px between 10% and 90% of it" in note
+    assert not any("on the straight way" in words for words in unlikely(half_turn, by_law=False))  # a custom controller
     assert notes({"camera.image_size": [700.0, 700.0]}) == []
     assert notes({"controller.law": "kelly"}) == []
     assert unseen_points(hs.simulate(half_turn.updated({"controller.law": "kelly"}))) == ()
+
+
+def test_check_notes_points_that_go_behind_the_camera_on_the_straight_way() -> None:
+    """From the far side of points that are in no plane, looking back at them, the camera passes beside some."""
+    scenario = hs.load_scenario("textbook-tilt")
+    corners = np.array([[0.1, 0.1, 0.05], [-0.1, 0.1, -0.05], [-0.1, -0.1, 0.05], [0.1, -0.1, -0.05]])
+    points = corners + np.array(scenario.robot.home_position) + CAMERA_AT_TAG
+    aims = {**SAMPLED, "controller.law": "pbvs", "target.initial_features": None, "target.depth": None}
+    goal = {"target.desired_features": None, "target.desired_pose": [0.0, 0.0, 0.1, 0.0, 0.0, 0.0]}
+    laid = scenario.updated({**aims, **goal, "target.points": points.tolist()})
+    beyond = laid.updated({"simulation.start.pose": [0.0, 0.0, -1.0, 3.1, 0.0, 0.0]})
+    (note,) = (note for note in unlikely(beyond) if "on the straight way" in note)
+    assert "points 1, 2, 3, 4 leave the image of 640 x 360 px or go behind the camera" in note
+    near = laid.updated({"simulation.start.pose": [0.02, 0.0, 0.0, 0.0, 0.0, 0.0]})
+    assert not any("on the straight way" in note for note in unlikely(near))
 
 
 # ---- A plane of points ----------------------------------------------------------------------------------------------
