@@ -477,6 +477,14 @@ FAULTS: dict[str, tuple[Fault, ...]] = {
         ),
     ),
     "leg_feedback": (Fault({"controller.tracking.feedback": LogUniform(60.0, 300.0)}, **ON_POSITIONS),),
+    "gate": (
+        Fault(
+            {"camera.gate": LogUniform(0.1, 1.0)},
+            cameras=("predicted",),
+            base={"camera.timeout": 0.3},
+            base_ranges={"camera.noise": Uniform(0.3, 1.2)},
+        ),
+    ),
 }
 """What `variation` draws from, beside the baselines; a fault of a cause is drawn first."""
 

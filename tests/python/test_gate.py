@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 import hexservo as hs
+from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check import unlikely
+from hexservo.findings.gate_width import noise_at_gate, rejected_share
 
 OUTLIERS = {"camera.outlier_probability": 0.05, "camera.outlier_size": 40.0}
 SEEDS = list(range(40))
@@ -133,6 +135,78 @@ def test_check_notes_a_target_that_moves_farther_than_the_gate(
     machine: hs.Scenario, motion: dict[str, object], words: str
 ) -> None:
     gated = machine.updated({"camera.gate": 1.0, "camera.timeout": 0.5, "target.motion": motion})
-    notes = " ".join(note for note in unlikely(gated) if note.startswith("camera.gate"))
+    notes = " ".join(note for note in unlikely(gated) if "moves the image" in note)
     assert words in notes
     assert bool(words) == bool(notes)
+
+
+@pytest.mark.parametrize(("gate", "noise"), [(0.5, 0.5), (1.0, 0.5)])
+def test_a_gate_rejects_the_share_of_right_points_that_is_stated(
+    machine: hs.Scenario, gate: float, noise: float
+) -> None:
+    """Of a platform that stands still: a point whose image stays the same from frame to frame was rejected."""
+    camera = {"gate": gate, "noise": noise, "timeout": 6.0, "quantisation": 0.0, "dropout": 0.0, "latency_jitter": 0.0}
+    scenario = machine.updated(
+        {
+            **{f"camera.{key}": value for key, value in camera.items()},
+            "sensors.pose": True,
+            "base_motion.kind": "none",
+            "actuators.quantisation": 0.0,
+            "actuators.hold": "wrench",
+            "simulation.duration": 40.0,
+        }
+    )
+    robot, weight = scenario.robot, np.array(scene_of(scenario).body.weight([1.0, 0.0, 0.0, 0.0]))
+    inertia = np.array([robot.mass] * 3 + list(robot.inertia))
+    seen: list[Any] = []
+
+    def hold(observed: hs.Observation) -> np.ndarray:
+        seen.append(observed.features)
+        away = np.concatenate([observed.position - robot.home_position, 2.0 * observed.quaternion[1:]])
+        return np.asarray(weight - inertia * (100.0 * away + 20.0 * observed.twist))
+
+    assert hs.simulate(scenario, controller=hold).outcome == "completed"
+    moved = np.abs(np.diff(np.array(seen)[8000::33], axis=0))[:, ::2]  # of each point along x, from frame to frame
+    assert noise_at_gate(scenario) == noise
+    parts = np.array([part.mean() for part in np.array_split(moved < 1e-5, 20)])
+    error = parts.std(ddof=1) / np.sqrt(len(parts))
+    print(f"rejected {parts.mean():.4f} +- {error:.4f}, stated {rejected_share(gate, noise):.4f}")
+    assert error < 0.02
+    assert parts.mean() == pytest.approx(rejected_share(gate, noise), abs=4.0 * error)
+
+
+def test_check_notes_a_gate_narrower_than_the_noise(machine: hs.Scenario) -> None:
+    """By the share of right points that it rejects; a gate as wide as it asks for rejects at most 1 in 1000."""
+
+    def notes(**camera: float) -> list[str]:
+        found = unlikely(machine.updated({f"camera.{key}": value for key, value in {"timeout": 0.3, **camera}.items()}))
+        return [sentence for sentence in found if sentence.startswith("camera.gate")]
+
+    (note,) = notes(gate=0.5, noise=0.5, quantisation=0.0)
+    assert "0.5 px rejects 78% of the right points" in note
+    assert "take a gate of at least 2.7 px" in note
+    assert notes(gate=2.7, noise=0.5, quantisation=0.0) == []
+    assert rejected_share(2.7, 0.5) < 0.001
+    (note,) = notes(gate=0.6, noise=0.0, quantisation=1.0)  # rounded alone: 1/sqrt(12)
+    assert "rejects 34% of the right points, whose coordinates have 0.289 px of noise and rounding" in note
+    (note,) = notes(gate=0.5, noise=0.5, quantisation=0.0, smoothing=0.01)
+    assert "rejects 76%" in note
+    assert notes(gate=0.5, noise=0.5, quantisation=0.0, smoothing=3.0) == []  # which leaves 0.037 px of it
+
+
+def test_diagnose_names_a_gate_narrower_than_the_noise(machine: hs.Scenario) -> None:
+    """With a wider one as the remedy, which still keeps out outliers."""
+    narrow = machine.updated({"camera.gate": 1.0, "camera.timeout": 0.3, "camera.noise": 2.0})
+    first = hs.diagnose(hs.simulate(narrow)).causes[0]
+    assert (first.cause, first.named) == ("gate", True)
+    assert any("rejects 94% of the right points" in sentence for sentence in first.evidence)
+    assert first.remedy is not None
+    assert first.remedy.changes == {"camera.gate": 11.0}
+    assert first.remedy.works
+    outliers = {"camera.outlier_probability": 0.05, "camera.outlier_size": 60.0}
+    disturbed = machine.updated({"camera.gate": 0.5, "camera.timeout": 0.3, "camera.noise": 1.5, **outliers})
+    first = hs.diagnose(hs.simulate(disturbed)).causes[0]
+    assert (first.cause, first.named) == ("gate", True)
+    assert first.remedy is not None
+    assert first.remedy.changes == {"camera.gate": 7.9}
+    assert first.remedy.works

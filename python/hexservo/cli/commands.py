@@ -340,7 +340,12 @@ def _report(result: hs.Result, elapsed: float, folder: str | None, *, hint: bool
     """Print the outcome of a run, its metrics, what they do not show, exceeded limits, and the place of its files."""
     from rich.text import Text
 
-    from hexservo.run.summary import goal_distance_sentence, singular_passage_sentence, without_image
+    from hexservo.run.summary import (
+        goal_distance_sentence,
+        image_sentences,
+        singular_passage_sentence,
+        without_image,
+    )
 
     name = result.scenario.name
     if result.outcome == "completed":
@@ -350,6 +355,8 @@ def _report(result: hs.Result, elapsed: float, folder: str | None, *, hint: bool
     yield _metrics_table(result)
     if (unseen := without_image(result)) is not None:
         yield Text(unseen, style="yellow")
+    for sentence in image_sentences(result):
+        yield Text(sentence, style="yellow")
     if (far := goal_distance_sentence(result, if_hidden=True)) is not None:
         yield Text(far, style="yellow")
     if before := [event for event in result.events if event is not result.stop_event]:  # which the first line has

@@ -41,8 +41,9 @@ def _write_files(result: Result, folder: Path) -> None:
 
 
 def _metrics_json(result: Result) -> str:
-    """Return outcome, events and metrics as strict JSON: numbers that are not finite are null."""
+    """Return outcome, events, points that leave the image and metrics as strict JSON: what is not finite is null."""
     from hexservo.run.metrics import metric_meaning, metric_unit, metrics
+    from hexservo.run.unseen_points import unseen_points
     from hexservo.scenario.version import VERSION
 
     robot = result.scenario.robot
@@ -62,6 +63,14 @@ def _metrics_json(result: Result) -> str:
                 "limit": {"value": event.limit, "unit": event.unit},
             }
             for event in result.events
+        ],
+        "points_outside_image": [
+            {
+                "point": one.point,
+                "first": {"value": one.first, "unit": "s"},
+                "total": {"value": one.total, "unit": "s"},
+            }
+            for one in unseen_points(result)
         ],
         "metrics": {
             name: {"value": value, "unit": metric_unit(name, robot), "meaning": metric_meaning(name, robot)}

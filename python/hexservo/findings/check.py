@@ -35,6 +35,7 @@ from hexservo.findings.check_positions import of_positions
 from hexservo.findings.check_prior import of_prior
 from hexservo.findings.check_target import of_target
 from hexservo.findings.check_tracking import of_tracking
+from hexservo.findings.check_view import of_plane, of_straight_way
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.keys import value_at
@@ -58,7 +59,8 @@ def unlikely(scenario: Scenario, *, by_law: bool = True) -> list[str]:
     image, the points of the target with the noise (`of_points`), times of the camera and of the metrics with the
     duration, the recorded motions of base and target with what machines do (`of_motion`), tilt, rate and
     acceleration of a base with vehicles and the force limits (`of_base`), the period of frames with what finds
-    an unknown latency, the gate with the target's motion (`of_gate`), the way of a target with reach, image and frames
+    an unknown latency, the gate with the noise and the target's motion (`of_gate`), the way to the goal with the image
+    and the plane of the points (`of_straight_way`, `of_plane`), the way of a target with reach, image and frames
     (`of_target`), the machine with what is built (`of_machine`), limits and motors of legs that take positions
     with each other, duration and weight (`of_positions`), and in sampled mode the servo period with the loop of
     the gains, linearised at home with the switching term as in `linear_law`; gains with duration, servo rate, delays,
@@ -79,12 +81,20 @@ def unlikely(scenario: Scenario, *, by_law: bool = True) -> list[str]:
     """
     scene = scene_of(scenario)
     sentences: list[str] = []
-    for check in (_of_legs, _of_drives, of_positions, of_machine, _of_goal, of_points, of_gate, of_target, of_base):
+    machine, task = (
+        (_of_legs, _of_drives, of_positions, of_machine),
+        (_of_goal, of_plane, of_points, of_gate, of_target),
+    )
+    for check in (*machine, *task, of_base):
         sentences += evaluated(check, scene)
     for of_scenario in (_of_image, _of_principal_point, _of_duration, _of_dropout, of_motion, _of_unknown_latency):
         sentences += evaluated(of_scenario, scenario)
     return sentences + (
-        [sentence for of_law in (_of_rates, of_tracking, of_hold, of_joints) for sentence in evaluated(of_law, scene)]
+        [
+            sentence
+            for of_law in (_of_rates, of_straight_way, of_tracking, of_hold, of_joints)
+            for sentence in evaluated(of_law, scene)
+        ]
         if by_law
         else []
     )

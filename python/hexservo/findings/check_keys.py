@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hexservo.findings.check_gate import predicts
+from hexservo.findings.gate_width import predicts
 from hexservo.scenario.blocks import Robot, preset_values
 from hexservo.scenario.fitted import auto_of, chosen_keys, fitted_keys, gains_written, idle_gains
 from hexservo.scenario.keys import default_of, keys_below, value_at

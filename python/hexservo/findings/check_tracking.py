@@ -13,8 +13,8 @@ from hexservo.findings.analysis.image_estimate import estimate_of_image
 from hexservo.findings.analysis.scene import Scene, View
 from hexservo.findings.analysis.words import AXES
 from hexservo.findings.check_gains import SELDOM, share_of_restarts
-from hexservo.findings.check_gate import moved_between_frames
 from hexservo.findings.check_tracking_runs import less_noise, noise_helps, of_limits, of_runs
+from hexservo.findings.gate_width import moved_between_frames
 from hexservo.findings.target_line import Piece, SteadyFilter, longest_behind, steady_line
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.laws import Tracking

@@ -12,7 +12,7 @@ import numpy as np
 
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene
-from hexservo.findings.check_gate import moved_between_frames
+from hexservo.findings.gate_width import moved_between_frames
 from hexservo.run.batch import BatchResult, simulate_batch, whole
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.keys import value_at

@@ -10,6 +10,7 @@ from hexservo.run.goal_distance import goal_distance
 from hexservo.run.leg_limits import leg_limits
 from hexservo.run.leg_motion import singular_passage
 from hexservo.run.metrics import left_and_band, metrics, shown_number, unsettled
+from hexservo.run.unseen_points import edge_on_sentence, unseen_sentence
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.pixels import points_outside
 from hexservo.scenario.wording import apart, number, percent_above, percent_below, quantity
@@ -31,11 +32,18 @@ def summary_sentences(result: Result) -> list[str]:
     return [
         _outcome(result),
         *([] if unseen is None else [unseen]),
+        *image_sentences(result),
         _settling(result),
         _residual(result),
         *([] if (far := goal_distance_sentence(result)) is None else [far]),
         *_legs(result),
     ]
+
+
+def image_sentences(result: Result) -> list[str]:
+    """Return which points leave the image, unless the law never acts for want of one, and where they are edge-on."""
+    outside = unseen_sentence(result) if without_image(result) is None else None
+    return [sentence for sentence in (outside, edge_on_sentence(result)) if sentence is not None]
 
 
 def _outcome(result: Result) -> str:

@@ -110,10 +110,14 @@ def problem_of_recording(held: Any, changes: Mapping[str, Any]) -> str | None:
 
 
 def _require_front(scenario: Blocks, kind: str, pose: Vector) -> None:
-    """Refuse a tag or a grid whose back the camera has before it, at home or at the desired pose."""
-    places = {"home": (np.zeros(3), np.eye(3))}
-    if (goal := scenario.target.desired_pose) is not None:
-        places["target.desired_pose"] = (np.array(goal[:3]), rotation_matrix(goal[3:]))
+    """Refuse a tag or a grid whose back the camera has before it, at home, at the start or at the desired pose."""
+    poses = {
+        "simulation.start.pose": scenario.simulation.start.pose,
+        "target.desired_pose": scenario.target.desired_pose,
+    }
+    places = {"home": (np.zeros(3), np.eye(3))} | {
+        name: (np.array(pose[:3]), rotation_matrix(pose[3:])) for name, pose in poses.items() if pose is not None
+    }
     for name, (shift, turn) in places.items():
         camera, _ = _camera_at(scenario, shift, turn)
         if not float(np.array(normal(pose)) @ (camera - np.array(pose[:3]))) > 0.0:

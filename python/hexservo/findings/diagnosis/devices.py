@@ -22,6 +22,7 @@ from hexservo.findings.diagnosis.model import (
     removed_by,
 )
 from hexservo.findings.diagnosis.remedies import (
+    gate_remedies,
     gravity_remedies,
     late_camera_remedies,
     lost_features_remedies,
@@ -29,14 +30,22 @@ from hexservo.findings.diagnosis.remedies import (
     saturation_remedies,
     slower_remedies,
     unequal_depth_remedies,
+    wider_gate,
 )
 from hexservo.findings.diagnosis.tracking import well_set
+from hexservo.findings.gate_width import predicts
 from hexservo.scenario.blocks import Payload
 from hexservo.scenario.keys import keys_below, value_at
 from hexservo.scenario.laws import laws_with
 from hexservo.scenario.parameters import core_parameters, frame_period
 
 _IMAGE = frozenset({"camera.period", "camera.latency", "camera.latency_jitter", "camera.prediction"})
+_AT_GATE = frozenset(  # what a gate compares, and when that counts
+    {
+        *("camera.noise", "camera.quantisation", "camera.smoothing", "camera.timeout", "camera.on_lost"),
+        *("target.motion.kind", "camera.dropout"),
+    }
+)
 _ENCODERS = frozenset({"sensors.pose", "sensors.rate", "sensors.period"})
 
 
@@ -90,9 +99,16 @@ def _late_camera(case: Case) -> list[Removal]:
 
 
 def _lost_features(case: Case) -> list[Removal]:
-    none_lost = {"camera.image_size": None, "camera.dropout": 0.0, "camera.gate": None}
+    none_lost = {"camera.image_size": None, "camera.dropout": 0.0}
     changes = {key: none for key, none in none_lost.items() if case.sampled and value_at(case.scenario, key) != none}
-    return removal_by("an image without border or gate, and no lost frames", changes)
+    return removal_by("an image without border, and no lost frames", changes)
+
+
+def _gate(case: Case) -> list[Removal]:
+    if not case.sampled or case.scenario.camera.gate is None or not predicts(case.scenario):
+        return []
+    none = Removal("no gate around the expected place of each point", {"camera.gate": None})
+    return [none, *wider_gate(case)]  # which still keeps out outliers
 
 
 def _brake(case: Case) -> list[Removal]:
@@ -224,10 +240,18 @@ DEVICES: tuple[Cause, ...] = (
     Cause(
         "lost_features",
         "lost features",
-        _keys("camera.dropout", "camera.image_size", "camera.on_lost", "camera.gate"),
+        _keys("camera.dropout", "camera.image_size", "camera.on_lost"),
         _lost_features,
         lost_features_remedies,
         context=_IMAGE,
+    ),
+    Cause(
+        "gate",
+        "a gate of the camera that is too narrow",
+        _keys("camera.gate"),
+        _gate,
+        gate_remedies,
+        context=_IMAGE | _AT_GATE,
     ),
     Cause(
         "outliers",

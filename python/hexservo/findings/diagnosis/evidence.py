@@ -14,6 +14,7 @@ from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.diagnosis.criterion import Judgement, Record
 from hexservo.findings.diagnosis.goal import pixels_per_metre, seen_from_home
 from hexservo.findings.diagnosis.model import Case
+from hexservo.findings.gate_width import noise_at_gate, rejected_share, rejects
 from hexservo.run.leg_limits import LimitUse, limits_of_motion, most_used
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.leg_units import leg_units, stroke_length
@@ -78,6 +79,14 @@ def _lost_features(case: Case, record: Record, judgement: Judgement) -> Signatur
         else:
             sentences.append(f"No frame arrives, instead of one every {number(period)} s.")
     return Signature(strength, " ".join(sentences))
+
+
+def _gate(case: Case, record: Record, judgement: Judgement) -> Signature:
+    """By the noise alone: no sample has what the gate rejects."""
+    gate, noise = case.scenario.camera.gate, noise_at_gate(case.scenario)
+    if gate is None:
+        return Signature(0.0, "")
+    return Signature(rejected_share(gate, noise), f"The gate of {number(gate)} px {rejects(gate, noise)}.")
 
 
 def _gravity(case: Case, record: Record, judgement: Judgement) -> Signature:
@@ -216,6 +225,7 @@ SIGNATURES: dict[str, Callable[[Case, Record, Judgement], Signature]] = {
     "saturation": _at_effort_limit,
     "motors": _at_effort_limit,
     "lost_features": _lost_features,
+    "gate": _gate,
     "gravity": _gravity,
     "unequal_depth": _unequal_depth,
     "spring": _spring,
@@ -232,5 +242,5 @@ def signature_of(cause: str, case: Case, record: Record, judgement: Judgement) -
     return SIGNATURES[cause](case, record, judgement) if cause in SIGNATURES else Signature(None, "")
 
 
-OF_THE_SCENARIO = frozenset({"poor_image", "leg_limits"})
+OF_THE_SCENARIO = frozenset({"gate", "poor_image", "leg_limits"})
 """Those that are the same whatever was recorded: they do not depend on what a controller did."""

@@ -13,6 +13,7 @@ from hexservo.findings.diagnosis.criterion import Record
 from hexservo.findings.diagnosis.gains import slower
 from hexservo.findings.diagnosis.goal import resized_image
 from hexservo.findings.diagnosis.model import Case, Removal
+from hexservo.findings.gate_width import least_gate
 from hexservo.scenario.laws import laws_with
 from hexservo.scenario.leg_units import leg_units
 from hexservo.scenario.parameters import frame_period
@@ -176,6 +177,20 @@ def outliers_remedies(case: Case, removal: Removal, record: Record) -> list[Remo
         changes["camera.timeout"] = float(f"{math.ceil(late / step - 1e-9) * step:.9g}")
         words += f", and a timeout of {quantity(changes['camera.timeout'], 's')}"
     return [Removal(words, changes), removal]
+
+
+def gate_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:
+    """Widen the gate, before it is removed."""
+    return [*wider_gate(case), removal]
+
+
+def wider_gate(case: Case) -> list[Removal]:
+    """Widen the gate until it rejects hardly any right point; [] where noise and motion are within it."""
+    wide, gate = least_gate(scene_of(case.scenario)), case.scenario.camera.gate
+    if gate is None or wide <= gate:  # something else takes points beyond it
+        return []
+    wide = rounded_up(max(wide, _LEAST_GATE))
+    return [Removal(f"a gate of {wide:g} px", {"camera.gate": wide})]
 
 
 def leg_limits_remedies(case: Case, removal: Removal, record: Record) -> list[Removal]:

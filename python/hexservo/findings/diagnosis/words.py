@@ -10,6 +10,7 @@ from hexservo.findings.diagnosis.criterion import DRIFT_TIME, Judgement, Record
 from hexservo.findings.diagnosis.findings import Finding, Remedy
 from hexservo.run.leg_limits import LimitUse, limits_of_motion
 from hexservo.run.result import Result
+from hexservo.run.summary import image_sentences
 from hexservo.scenario.leg_units import leg_units
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import apart, number, percent_used
@@ -118,6 +119,7 @@ def warnings_of(result: Result, judgement: Judgement) -> tuple[str, ...]:
         ):
             if ratio > _NEAR:
                 found.append(f"Near failing: {what} is {percent_used(ratio)} of what is allowed.")
+        found += image_sentences(result)
     for event in result.events:
         if event.kind == "force" and not judgement.failed:  # of a failed run it is a symptom
             found.append(
