@@ -1,4 +1,4 @@
-"""Two machines of 5 kg as `hexservo new --machine` writes them, for tests: linear legs, and cranks of the same platform.
+"""Two machines of 5 kg as `hexservo new --machine` writes them, for tests: linear legs, and cranks of that size.
 
 They have the servo period and the frames of a usual camera, and rates by differences of encoders.
 """

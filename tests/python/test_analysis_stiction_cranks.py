@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from data_sheet_machines import data_sheet_machine
 
+from data_sheet_machines import data_sheet_machine
 from hexservo.findings.analysis import stiction
 from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.rest import RestLaw
