@@ -58,9 +58,10 @@ def least_image_error(scene: Scene) -> float:
     machine, state_matrix = scene.machine, _matrix(scene, smooth=False, adapts=True)
     counted = machine.weights > 0.0
     jacobian = np.asarray(scene.view(scene.home).jacobian)[counted]
-    start = scene.start.displacement_from(scene.home) - machine.displacement
+    start: Array = scene.start.displacement_from(scene.home) - machine.displacement
     if not np.isfinite(start).all():  # no pose shows the goal image
-        start = np.linalg.lstsq(jacobian, (scene.view(scene.start).features - scene.desired)[counted], rcond=None)[0]
+        seen = (scene.view(scene.start).features - scene.desired)[counted]
+        start = np.asarray(np.linalg.lstsq(jacobian, seen, rcond=None)[0])
     state = np.zeros(len(state_matrix))
     state[: min(len(state), 12)] = np.append(start, scene.settings["simulation.start.twist"])[: len(state)]
     sizes = {min(len(state), 12), len(state)}  # without and with the adaptation, where there is one
