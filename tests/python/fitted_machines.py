@@ -175,7 +175,7 @@ def warned(law: str, machines: Machines) -> NDArray[np.bool_]:
         base.updated({key: values[index].tolist() for key, values in varied.items()})
         for index in range(len(machines.mass))
     )
-    return np.array([any(of_gains(scene_of(scenario), None)) for scenario in scenarios])
+    return np.array([any(of_gains(scene_of(scenario))) for scenario in scenarios])
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections.abc import Callable, Iterator
 from typing import TypeVar
@@ -10,14 +9,8 @@ from typing import TypeVar
 import numpy as np
 
 from hexservo import _core
-from hexservo.findings.analysis.linear_law import (
-    NoRestError,
-    NotFiniteError,
-    linear_law,
-    linear_plant,
-    too_long_a_period,
-)
-from hexservo.findings.analysis.loop_of_scenario import NotApplicableError, quiet, rates_without_mass
+from hexservo.findings.analysis.linear_law import NoRestError, NotFiniteError, too_long_a_period
+from hexservo.findings.analysis.loop_of_scenario import NotApplicableError
 from hexservo.findings.analysis.reach import reach_of_start_and_goal
 from hexservo.findings.analysis.scene import Scene, scene_of
 from hexservo.findings.check_base import of_base, of_drift
@@ -26,21 +19,23 @@ from hexservo.findings.check_gains import of_gains
 from hexservo.findings.check_gate import of_gate
 from hexservo.findings.check_hold import of_hold
 from hexservo.findings.check_joints import of_joints
-from hexservo.findings.check_keys import has_slope, keys_without_effect
+from hexservo.findings.check_keys import keys_without_effect
 from hexservo.findings.check_machine import of_machine
 from hexservo.findings.check_motion import of_motion
-from hexservo.findings.check_period import of_period
+from hexservo.findings.check_period import of_period, of_step
 from hexservo.findings.check_points import of_points
 from hexservo.findings.check_positions import of_positions
 from hexservo.findings.check_prior import of_prior
+from hexservo.findings.check_slow import of_slow
 from hexservo.findings.check_target import of_target
 from hexservo.findings.check_tracking import of_tracking
 from hexservo.findings.check_view import of_plane, of_straight_way
+from hexservo.findings.home_loop import poles_at_home
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.parameters import frame_period
-from hexservo.scenario.pixels import on_pinhole, points_outside
+from hexservo.scenario.pixels import points_outside
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import apart, number, quantity
 
@@ -62,10 +57,11 @@ def unlikely(scenario: Scenario, *, by_law: bool = True) -> list[str]:
     an unknown latency, the gate with the noise and the target's motion (`of_gate`), the way to the goal with the image
     and the plane of the points (`of_straight_way`, `of_plane`), the way of a target with reach, image and frames
     (`of_target`), the machine with what is built (`of_machine`), limits and motors of legs that take positions
-    with each other, duration and weight (`of_positions`), and in sampled mode the servo period with the loop of
-    the gains, linearised at home with the switching term as in `linear_law`; gains with duration, servo rate, delays,
-    forces and noise (`of_gains`); the filter of `tracking` with the target's motion (`of_tracking`), what runs that
-    begin at the goal leave of it, before a target at rest and before one that moves (`of_hold`), what encoders read
+    with each other, duration and weight (`of_positions`), the servo period in sampled mode, or the step of the
+    integration in continuous mode, with the loop of the gains, linearised at home with the switching term as in
+    `linear_law`; gains with what the run needs (`of_slow`), duration, servo rate, delays, forces and noise
+    (`of_gains`); the filter of `tracking` with the target's motion (`of_tracking`), what runs that begin at the goal
+    leave of it, before a target at rest and before one that moves (`of_hold`), what encoders read
     with the image and the fuzzy inputs (`of_joints`). Gains with which numbers of that loop overflow have a sentence
     that names it.
     Simulates how the goal is kept and how a target in motion is followed, in a second or some.
@@ -124,22 +120,26 @@ def evaluated(check: Callable[[_T], Iterator[str]], of: _T) -> list[str]:
 
 
 def _of_rates(scene: Scene) -> Iterator[str]:
-    fastest = None
+    poles = None
     if reason := too_long_a_period(scene.scenario):
         yield (
             f"simulation.step: {reason}, so that hs.Controller and exports refuse the scenario; simulations run. "
             "Take a shorter one for a machine"
         )
     try:
-        fastest = fastest_rate(scene)
+        poles = poles_at_home(scene)
     except NotFiniteError as error:
         law = scene.scenario.controller.law
         yield f"controller.{law}: the gains' bandwidth cannot be evaluated, since numbers overflow ({error})"
         return
     except (NoRestError, NotApplicableError):  # no law can be evaluated at home
         pass
-    yield from of_period(scene.scenario, fastest)
-    yield from of_gains(scene, fastest)
+    if poles is not None:
+        yield from of_period(scene.scenario, float(np.abs(poles).max()))
+        yield from of_step(scene.scenario, poles)
+    yield from of_gains(scene)
+    if poles is not None:
+        yield from of_slow(scene)
 
 
 def _of_legs(scene: Scene) -> Iterator[str]:
@@ -344,41 +344,5 @@ def known_rate(scenario: Scenario) -> float | None:
 
 
 def fastest_rate(scene: Scene) -> float:
-    """Return the largest magnitude of the poles of law and plant [1/s], in continuous time, linear at home.
-
-    The law is that of the servo tick with a fresh image (`linear_law`), the plant the actual one (`linear_plant`); the
-    weights of the fuzzy systems are constant. `tanh` and `saturation` have their slope at rest; otherwise
-    K_v = 0, since dry friction has no pole. Where drives take positions, a law of a platform without mass moves it
-    at a twist, and a law whose output is a pose has the double pole of its reference.
-
-    Raises
-    ------
-    NoRestError
-        The law cannot be evaluated at home.
-    NotFiniteError
-        A `NoRestError`: the gains are so large that the law or the loop overflows.
-    """
-    controller = scene.scenario.controller
-    if controller.traits.output == "pose":
-        return 2.0 * math.pi * float(controller.gains.bandwidth)
-    if scene.scenario.moves_without_mass:
-        return _largest(lambda: rates_without_mass(scene.scenario, scene.home))
-    calm = on_pinhole(quiet(scene.scenario))  # the linear law is of features
-    law = linear_law(calm, scene_of(calm), scene.home, smooth=has_slope(scene.scenario))
-    push = linear_plant(calm, scene.home).acceleration
-
-    def state_matrix() -> Array:
-        by_pose, by_twist = push @ (law.frame[:, :6] + law.pose), push @ law.twist
-        return np.asarray(np.block([[np.zeros((6, 6)), np.eye(6)], [by_pose, by_twist]]))
-
-    return _largest(state_matrix)
-
-
-def _largest(rates: Callable[[], Array]) -> float:
-    """Return the largest magnitude of the eigenvalues of a matrix, the poles of a loop [1/s]."""
-    largest = math.inf
-    with np.errstate(over="ignore", invalid="ignore"), contextlib.suppress(np.linalg.LinAlgError):  # refused below
-        largest = float(np.abs(np.linalg.eigvals(rates())).max())
-    if not math.isfinite(largest):
-        raise NotFiniteError("controller: expected gains that give finite poles, got poles that are not finite")
-    return largest
+    """Return the largest magnitude of the `poles_at_home` [1/s], and raise as they do."""
+    return float(np.abs(poles_at_home(scene)).max())

@@ -1,37 +1,42 @@
-"""The brake of the safe output, compared with the forces that the legs have."""
+"""The brake of the safe output: whether it is stable, compared with the forces that the legs have, and in a run."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 
-from hexservo import _core
 from hexservo.findings.analysis.scene import Scene
+from hexservo.findings.brake import Brake, BrakeLoop
 from hexservo.run.result import Result
 from hexservo.run.simulation import simulate
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.parameters import core_parameters, reading_ticks
+from hexservo.scenario.keys import value_at
+from hexservo.scenario.parameters import reading_ticks
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import below, number, quantity
 
 _MOST_STEPS = 100_000  # of a run that is judged
 _OF_FORCE = 0.8  # of what the legs have beside the weight: what the proposed gains need
+_OF_BORDER = 0.99  # of the largest stable gains, so that they are still stable in three digits
+_DAMPING, _HOLD = "controller.safe.damping", "controller.safe.hold"
 
 
 def of_brake(scene: Scene, period: float | None = None) -> Iterator[str]:
-    """Yield a sentence for a brake that needs more of a leg than `robot.force_limit`.
+    """Yield a sentence for a brake that is unstable, that ends a run, or that needs more of a leg than it has.
 
-    At the largest speed of the run, which is simulated, and at rest for one step of `sensors.resolution` in one
-    reading, which rates by differences take for a speed. The forces are those of the core's tick without an image, at
-    home. Gains that fit are slower ones of the form of the derived ones.
+    Stability is that of the linear loop of the core's tick without an image and the plant, at home (`BrakeLoop`). A
+    brake ends a run which the derived gains do not end. Forces are compared with `robot.force_limit` at the largest
+    speed of the run, which is simulated, and at rest for one step of `sensors.resolution` in one reading, which rates
+    by differences take for a speed. They are those of the tick without an image, at home. Gains that fit are slower
+    ones of the form of the derived ones.
 
     Parameters
     ----------
     scene
-        Of a scenario. Drives that take positions stop within their own limits, and a run that ends early has no speed
-        to compare.
+        Of a scenario. Drives that take positions stop within their own limits, and a run that ends early with the
+        derived gains too has no speed to compare.
     period
         Time between two ticks [s]; None: the scenario's ``simulation.step``.
     """
@@ -39,11 +44,54 @@ def of_brake(scene: Scene, period: float | None = None) -> Iterator[str]:
     if scenario.actuators.takes_positions:
         return
     period = scenario.simulation.step if period is None else period
-    brake = _Brake(scene, period)
+    brake = Brake(scene, period)
+    written = [key for key in (_DAMPING, _HOLD) if value_at(scenario, key) is not None]
+    if any(np.any(value_at(scenario, key)) for key in written) or len(written) < 2:  # zeros only let the platform move
+        loop = BrakeLoop(scene, brake)
+        if not loop.stable:
+            yield _unstable(scenario, loop, written, period)
+            return
+    run = judged_run(scenario)
+    if run.outcome != "completed" and written:
+        derived = judged_run(scenario.updated({_DAMPING: None, _HOLD: None}))
+        if derived.outcome == "completed":
+            yield (
+                f"controller.safe: with these gains of the brake a run ends as {run.outcome} ({run.detail}), and with "
+                f"the derived ones (null for {' and '.join(written)}) it does not"
+            )
+            run = derived
+    yield from _of_forces(scene, brake, run)
+
+
+def _unstable(scenario: Scenario, loop: BrakeLoop, written: list[str], period: float) -> str:
+    """Return that a brake is unstable, with the largest share of the written gains that is not, as of a faster one."""
+    powers = {_DAMPING: 1 if _DAMPING in written else 0, _HOLD: len(written) if _HOLD in written else 0}
+    grows = (
+        f"controller.safe: the brake is unstable: without an image a motion grows by "
+        f"{number(100.0 * (loop.growth() - 1.0), 2)} % from one servo period, {quantity(period, 's')}, to the next"
+    )
+    if not written:
+        return f"{grows}; its gains are those of the estimated inertia, of which uncertainty.inertia leaves too little"
+    damping, hold = value_at(scenario, _DAMPING), value_at(scenario, _HOLD)
+    undamped = damping is not None and np.any((np.asarray(damping) == 0.0) & (hold is None or np.asarray(hold) > 0.0))
+    share = None if undamped else loop.largest_share(powers[_DAMPING], powers[_HOLD])
+    if share is None:
+        cause = "since a hold without damping is, " if undamped else ""
+        return f"{grows}, {cause}with any share of these gains; null for {' and '.join(written)} derives stable ones"
+    gains = {key: _OF_BORDER * share ** powers[key] * np.broadcast_to(value_at(scenario, key), 6) for key in written}
+    return f"{grows}; stable up to about {_pasted(gains)}, and null derives gains with a margin"
+
+
+def _pasted(gains: Mapping[str, Iterable[float]]) -> str:
+    return " and ".join(f"{key}=[{','.join(number(each, 3) for each in values)}]" for key, values in gains.items())
+
+
+def _of_forces(scene: Scene, brake: Brake, run: Result) -> Iterator[str]:
+    scenario = scene.scenario
     limit, units = scenario.robot.force_limit, scene.units
     if np.abs(brake.weight).max() > limit:  # has its own sentence
         return
-    moving, reading = _fastest_twists(scene, brake), _twists_of_a_step(scene, period)
+    moving, reading = _fastest_twists(brake, run), _twists_of_a_step(scene, brake.period)
     problems = []
     for twists, words in (
         (moving, "at the largest speed of a run, {}"),
@@ -68,46 +116,7 @@ def judged_run(scenario: Scenario) -> Result:
     return simulate(scenario.updated(shorter))
 
 
-class _Brake:
-    """Leg forces of the core's tick without an image, at home; they are affine in the twist of the platform."""
-
-    def __init__(self, scene: Scene, period: float, gains: dict[str, list[float]] | None = None) -> None:
-        settings = core_parameters(scene.scenario)
-        settings["sensors.rate"] = "true_rates"  # of the tick; those by differences take two
-        for key, value in (gains or {}).items():
-            settings[key] = np.array(value)
-        self.period = period
-        self._core = _core.Controller(settings, period)
-        self._home = scene.home
-        self._lengths = np.asarray(scene.hexapod.home_lengths)
-        self._to_rates = np.asarray(scene.wrench_maps(scene.home)).T
-        self._points = len(scene.desired) // 2
-        self.weight = self._tick(np.zeros(6))
-        self.slope = np.column_stack([self._tick(axis) - self.weight for axis in np.eye(6)])
-        self.wrenches = self._to_rates.T @ self.slope  # of a twist
-
-    def _tick(self, twist: Array) -> Array:
-        self._core.reset()
-        image = (np.full(2 * self._points, np.nan), np.full(self._points, np.nan))
-        place = (self._home.position, self._home.quaternion, twist)
-        return np.asarray(self._core.step(*image, *place, self._lengths, self._to_rates @ twist)[1])
-
-    def forces(self, twists: Array) -> Array:
-        """Return the leg forces (n, 6) [N] at twists (n, 6) [m/s; rad/s]."""
-        return np.asarray(self.weight + twists @ self.slope.T)
-
-    def rates(self, twists: Array) -> Array:
-        """Return the rates of the legs (n, 6) [m/s] at twists (n, 6)."""
-        return np.asarray(twists @ self._to_rates.T)
-
-    def share(self, twists: Array, limit: float) -> float:
-        """Return by which factor of the gains no leg needs more than a limit [N], which the weight is within."""
-        moved = twists @ self.slope.T
-        room = limit - np.sign(moved) * self.weight
-        return float((room / np.maximum(np.abs(moved), 1e-300)).min())
-
-
-def _remedy(scene: Scene, brake: _Brake, moving: Array, reading: Array) -> str:
+def _remedy(scene: Scene, brake: Brake, moving: Array, reading: Array) -> str:
     """Return gains of the brake that the legs have the forces for, as a sentence without its full stop."""
     inertia, units = scene.machine.mass, scene.units
     axes = np.diag(inertia)
@@ -116,12 +125,12 @@ def _remedy(scene: Scene, brake: _Brake, moving: Array, reading: Array) -> str:
 
     def gains(rate: float) -> dict[str, list[float]]:
         damping, hold = ([float(f"{each:.3g}") for each in values] for values in (2.0 * rate * axes, rate**2 * axes))
-        return {"controller.safe.damping": damping, "controller.safe.hold": hold}
+        return {_DAMPING: damping, _HOLD: hold}
 
-    def fastest_pole(of: _Brake) -> float:
+    def fastest_pole(of: Brake) -> float:
         return float(np.abs(np.linalg.eigvals(np.linalg.solve(inertia, of.wrenches))).max())
 
-    slow = _Brake(scene, brake.period, gains(1.0))  # of 1 rad/s, to which damping and forces are in proportion
+    slow = Brake(scene, brake.period, gains(1.0))  # of 1 rad/s, to which damping and forces are in proportion
     both = (moving[:, None] + reading).reshape(-1, 6)
     share = _OF_FORCE * slow.share(both, scene.scenario.robot.force_limit)
     rate = float(below(min(share, fastest_pole(brake) / fastest_pole(slow)), 2))
@@ -132,18 +141,16 @@ def _remedy(scene: Scene, brake: _Brake, moving: Array, reading: Array) -> str:
             f"{quantity(scene.stroke, units.coordinate)} either way: take a slower law"
         )
     fitting = gains(rate)
-    needed = float(np.abs(_Brake(scene, brake.period, fitting).forces(both)).max())
-    pasted = " and ".join(f"{key}=[{','.join(map(number, values))}]" for key, values in fitting.items())
+    needed = float(np.abs(Brake(scene, brake.period, fitting).forces(both)).max())
     stops = f", and the legs stop within {quantity(way, units.coordinate, 2)}" if way > 0.0 else ""
-    return f"With {pasted} it needs {quantity(needed, units.effort)}{stops}"
+    return f"With {_pasted(fitting)} it needs {quantity(needed, units.effort)}{stops}"
 
 
-def _fastest_twists(scene: Scene, brake: _Brake) -> Array:
-    """Return those twists of the run at which a leg needs most, each way, (n, 6); rest where the run ends early."""
-    result = judged_run(scene.scenario)
-    if result.outcome != "completed":
+def _fastest_twists(brake: Brake, run: Result) -> Array:
+    """Return those twists of a run at which a leg needs most, each way, (n, 6); rest where it ends early."""
+    if run.outcome != "completed":
         return np.zeros((1, 6))
-    twists = np.asarray(result.twist)
+    twists = np.asarray(run.twist)
     forces = brake.forces(twists)
     return np.asarray(twists[np.unique([forces.argmax(axis=0), forces.argmin(axis=0)])])
 

@@ -44,16 +44,8 @@ SELDOM = 2600.0
 """Frames of which noise may restart the estimate of a target in one."""
 
 
-def of_gains(scene: Scene, fastest: float | None) -> Iterator[str]:
-    """Yield a sentence for each problem of a scenario's gains.
-
-    Parameters
-    ----------
-    scene
-        Of the scenario.
-    fastest
-        Largest magnitude of the poles of law and plant [1/s]; None where the law cannot be evaluated at home.
-    """
+def of_gains(scene: Scene) -> Iterator[str]:
+    """Yield a sentence for each problem of a scenario's gains."""
     scenario = scene.scenario
     auto = auto_of(scenario)
     law = scenario.controller.law
@@ -71,12 +63,8 @@ def of_gains(scene: Scene, fastest: float | None) -> Iterator[str]:
     elif scenario.controller.traits.output == "pose":
         bandwidth = scenario.controller.gains.bandwidth
         yield from _of_times(scenario, f"controller.{law}.bandwidth: {{}} Hz", bandwidth)
-    else:
-        if fastest is not None:
-            key = f"controller.{law}: the gains' bandwidth of {{}} Hz"
-            yield from _too_slow(scenario, key, fastest / (2.0 * math.pi))
-        if scenario.actuators.kind == "force":
-            yield from _of_written_forces(scene)
+    elif scenario.actuators.kind == "force":
+        yield from _of_written_forces(scene)
     yield from _of_way(scene)
     yield from _of_pull(scene)
     yield from _of_switching(scene)

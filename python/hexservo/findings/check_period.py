@@ -1,17 +1,22 @@
-"""The servo period, and the time from one reading of the joints to the next, that the poles of a loop allow."""
+"""What the poles of a loop allow: the servo period, the time between readings of the joints, the integration's step."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
+
+from hexservo.scenario.arrays import Complex
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.laws import LAWS
 from hexservo.scenario.parameters import reading_ticks
 from hexservo.scenario.scenario import Scenario
-from hexservo.scenario.wording import quantity
+from hexservo.scenario.wording import below, quantity
 
 _TICKS = 10  # servo periods per shortest time constant of the loop for which the hold has little effect
 _ROUNDING = 1.0 + 1e-9
+_ROUNDED = 1e-6  # of a pole: what its real part is off by the differences that linearise the loop
+_HALVES = 40  # of the interval of steps
 
 
 def coarsest_period(rate: float) -> float:
@@ -50,6 +55,42 @@ def of_period(scenario: Scenario, rate: float | None, exported: float | None = N
                 f"{words} is coarser than a tenth of the gains' shortest time constant, "
                 f"{quantity(_shortest_time(rate), 's')}"
             )
+
+
+def of_step(scenario: Scenario, poles: Complex) -> Iterator[str]:
+    """Yield a sentence for a step, in continuous mode, with which the integration makes a loop that decays diverge.
+
+    Runge-Kutta's method of fourth order multiplies a motion of the pole p by R(p h) in a step h, and |R| <= 1 for real
+    poles up to 2.785/h.
+
+    Parameters
+    ----------
+    scenario
+        Of the loop.
+    poles
+        Of law and plant [1/s], as by `poles_at_home`.
+    """
+    decaying = poles[poles.real <= _ROUNDED * np.abs(poles)]
+    if scenario.simulation.mode == SAMPLED_MODE or not _diverges(decaying, scenario.simulation.step):
+        return
+    longest, diverges = 0.0, scenario.simulation.step
+    for _ in range(_HALVES):
+        middle = 0.5 * (longest + diverges)
+        longest, diverges = (longest, middle) if _diverges(decaying, middle) else (middle, diverges)
+    step, constant = scenario.simulation.step, _shortest_time(float(np.abs(decaying).max()))
+    yield (
+        f"simulation.step: a step of {quantity(step, 's')} is so long for the gains' shortest time constant, "
+        f"{quantity(constant, 's')}, that the integration of the run diverges; take at most "
+        f"{quantity(float(below(longest, 2)), 's')}, or lower gains"
+    )
+
+
+def _diverges(poles: Complex, step: float) -> bool:
+    """Return whether a motion of one of the poles [1/s] grows in a step of Runge-Kutta's method of fourth order."""
+    z = poles * step
+    with np.errstate(over="ignore", invalid="ignore"):
+        factors = 1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0)))
+        return not bool((np.abs(factors) <= _ROUNDING).all())
 
 
 def _shortest_time(rate: float) -> float:

@@ -254,11 +254,12 @@ def _loop(scenario: Scenario, law: LinearLaw, plant: LinearPlant, *, whole: bool
         drive_twist=law.drive_twist,
         reading=reading,
         differences=encoders and sensors.rate == "differences",
-        actuation=_actuation(scenario, plant),
+        actuation=actuation_of(scenario, plant),
     )
 
 
-def _actuation(scenario: Scenario, plant: LinearPlant) -> Actuation:
+def actuation_of(scenario: Scenario, plant: LinearPlant) -> Actuation:
+    """Return what the actuators of a sampled scenario do with a command, about the pose of a plant."""
     actuators, tick = scenario.actuators, scenario.simulation.step
     held = actuators.hold == "leg_forces"
     if not (held or actuators.delay > 0.0 or actuators.bandwidth is not None):

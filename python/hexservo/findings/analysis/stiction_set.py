@@ -13,6 +13,7 @@ from hexservo.findings.analysis.scene import Scene, View
 from hexservo.scenario.arrays import Array
 
 SPAN = 0.2  # of the points' mean depth, and in rad: farther than this no image is called linear
+_HALVES = 20  # of a step, at most, until all cranks close
 _ROUNDING = 1e-12  # of the stroke: what a leg at its limit stays within it, whatever its length is rounded to
 
 
@@ -182,7 +183,8 @@ def extremes(rest: RestSet) -> Extremes | None:
 def confirmed(scene: Scene, law: RestLaw, rest: RestSet, displacement: Array) -> tuple[Poses, float] | None:
     """Follow an extreme of the linearised set to a pose that K_v holds indeed, by the core's law and projection.
 
-    The set is linearised again where the last linear program ended, with steps that become shorter.
+    The set is linearised again where the last linear program ended, with steps that become shorter. A step to where a
+    crank does not close, which the linearisation does not have, goes as far as all of them close.
 
     Parameters
     ----------
@@ -200,7 +202,7 @@ def confirmed(scene: Scene, law: RestLaw, rest: RestSet, displacement: Array) ->
     sign = float(np.sign(error[coordinate]))
     margin = 1 - 1e-6
     found = None
-    pose = rest.view.pose.moved(displacement)
+    pose = _as_far_as_closed(scene, rest.view.pose, displacement)
     for within in (0.5, 0.25, 0.12, 0.06, 0.03, 0.015, 0.007):
         view = scene.view(pose)
         if not (view.depth < 0).all():
@@ -218,8 +220,18 @@ def confirmed(scene: Scene, law: RestLaw, rest: RestSet, displacement: Array) ->
             step = here.farthest(direction)
         if step is None:
             return found
-        pose = pose.moved(step[0])
+        pose = _as_far_as_closed(scene, pose, step[0])
     return found
+
+
+def _as_far_as_closed(scene: Scene, pose: Poses, step: Array) -> Poses:
+    """Return the pose after a step, or after the longest half, quarter or less of it, at which each leg has a place."""
+    for _ in range(_HALVES):
+        moved = pose.moved(step)
+        if np.isfinite(scene.leg_travel(moved)).all():
+            return moved
+        step = 0.5 * step
+    return pose
 
 
 def _only(rest: RestSet, copies: int) -> Array | None:

@@ -1,0 +1,115 @@
+"""Law and plant in continuous time, linear at home: the poles of a loop, and how the image comes to its goal."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+
+import numpy as np
+
+from hexservo.findings.analysis.linear_law import LinearLaw, NotFiniteError, linear_law, linear_plant
+from hexservo.findings.analysis.loop_of_scenario import quiet, rates_without_mass
+from hexservo.findings.analysis.scene import Scene, scene_of
+from hexservo.findings.check_keys import has_slope
+from hexservo.scenario.arrays import Array, Complex
+from hexservo.scenario.pixels import on_pinhole
+
+_SAMPLES = 200  # of the image error in a run
+
+
+def poles_at_home(scene: Scene) -> Complex:
+    """Return the poles of law and plant [1/s], in continuous time, linear at home.
+
+    The law is that of the servo tick with a fresh image (`linear_law`), the plant the actual one (`linear_plant`); the
+    weights of the fuzzy systems are constant. `tanh` and `saturation` have their slope at rest; otherwise
+    K_v = 0, since dry friction has no pole. Where drives take positions, a law of a platform without mass moves it
+    at a twist, and a law whose output is a pose has the double pole of its reference.
+
+    Raises
+    ------
+    NoRestError
+        The law cannot be evaluated at home.
+    NotFiniteError
+        A `NoRestError`: the gains are so large that the law or the loop overflows.
+    """
+    controller = scene.scenario.controller
+    if controller.traits.output == "pose":
+        return np.full(2, -2.0 * math.pi * float(controller.gains.bandwidth), dtype=complex)
+    with np.errstate(over="ignore", invalid="ignore"), contextlib.suppress(np.linalg.LinAlgError):  # refused below
+        poles = np.linalg.eigvals(_matrix(scene, smooth=has_slope(scene.scenario), adapts=False)).astype(complex)
+        if np.isfinite(poles).all():
+            return poles
+    raise NotFiniteError("controller: expected gains that give finite poles, got poles that are not finite")
+
+
+def least_image_error(scene: Scene) -> float:
+    """Return the least image error in a run, as a share of that at the start, by the linear loop at home.
+
+    The error is the largest coordinate of the points that count, by home's Jacobian, from the start to the goal. The
+    switching term, which can only hold the platform, is left out. The fuzzy systems may pull to the goal, or to the
+    start: the less of both with and without their adaptation counts. 1 where nothing pulls to the goal. NaN for a start
+    at the goal, and where the error doubles: the loop is unstable.
+
+    Raises
+    ------
+    NoRestError
+        The law cannot be evaluated at home.
+    """
+    machine, state_matrix = scene.machine, _matrix(scene, smooth=False, adapts=True)
+    counted = machine.weights > 0.0
+    jacobian = np.asarray(scene.view(scene.home).jacobian)[counted]
+    start: Array = scene.start.displacement_from(scene.home) - machine.displacement
+    if not np.isfinite(start).all():  # no pose shows the goal image
+        seen = (scene.view(scene.start).features - scene.desired)[counted]
+        start = np.asarray(np.linalg.lstsq(jacobian, seen, rcond=None)[0])
+    state = np.zeros(len(state_matrix))
+    state[: min(len(state), 12)] = np.append(start, scene.settings["simulation.start.twist"])[: len(state)]
+    sizes = {min(len(state), 12), len(state)}  # without and with the adaptation, where there is one
+    duration = scene.scenario.simulation.duration
+    return float(np.min([_least_share(state_matrix[:n, :n], state[:n], jacobian, duration) for n in sizes]))
+
+
+def _least_share(state_matrix: Array, state: Array, jacobian: Array, duration: float) -> float:
+    step = _propagated(state_matrix, duration / _SAMPLES)
+    errors = [float(np.abs(jacobian @ state[:6]).max())]
+    with np.errstate(over="ignore", invalid="ignore"):  # of loops that grow
+        for _ in range(_SAMPLES):
+            state = step @ state
+            errors.append(float(np.abs(jacobian @ state[:6]).max()))
+    return min(errors) / errors[0] if 0.0 < max(errors) < 2.0 * errors[0] else math.nan
+
+
+def _matrix(scene: Scene, *, smooth: bool, adapts: bool) -> Array:
+    """Return the state matrix over displacement and twist, and the outputs of the fuzzy systems that adapt [1/s].
+
+    Over the displacement alone for a platform without mass.
+    """
+    if scene.scenario.moves_without_mass:
+        return rates_without_mass(scene.scenario, scene.home)
+    calm = on_pinhole(quiet(scene.scenario))  # the linear law is of features
+    law = linear_law(calm, scene_of(calm), scene.home, smooth=smooth)
+    push = linear_plant(calm, scene.home).acceleration
+    by_pose, by_twist = push @ (law.frame[:, :6] + law.pose), push @ law.twist
+    motion = np.block([[np.zeros((6, 6)), np.eye(6)], [by_pose, by_twist]])
+    return _adapting(motion, law, push, calm.simulation.step) if adapts else np.asarray(motion)
+
+
+def _adapting(motion: Array, law: LinearLaw, push: Array, tick: float) -> Array:
+    axes = list(law.axes)
+    outputs = np.vstack([np.zeros((6, len(axes))), -push[:, axes]])
+    driven = np.hstack([law.drive_frame[:, :6] + law.drive_pose, law.drive_twist]) / tick
+    return np.block([[motion, outputs], [driven, np.diag((law.decay - 1.0) / tick)]])
+
+
+def _propagated(matrix: Array, time: float) -> Array:
+    """Return the matrix exponential, by steps of fourth order that are fine for its largest row sum."""
+    size = time * float(np.abs(matrix).sum(axis=1).max())
+    if not math.isfinite(size):
+        return np.full_like(matrix, np.nan)
+    halvings = max(0, math.ceil(math.log2(max(8.0 * size, 1.0))))
+    step, unit = matrix * time / 2.0**halvings, np.eye(len(matrix))
+    found = unit + step @ (unit + step / 2.0 @ (unit + step / 3.0 @ (unit + step / 4.0)))
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(halvings):
+            found = found @ found
+    return np.asarray(found)

@@ -1,0 +1,150 @@
+"""Gains that `check` calls too slow for the run, and steps that it calls too long, against closed forms and runs."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hexservo as hs
+from hexservo.findings.analysis.scene import scene_of
+from hexservo.findings.check import fastest_rate, unlikely
+from hexservo.findings.home_loop import least_image_error
+
+ALONE: dict[str, Any] = {f"uncertainty.{name}": 0.0 for name in ("inertia", "coriolis", "gravity", "depth")}
+
+
+def with_gains(scenario: hs.Scenario, law: str, gains: dict[str, Any]) -> hs.Scenario:
+    keys = {f"controller.{law}.{name}": value for name, value in gains.items()}
+    return scenario.updated({**ALONE, "robot.force_limit": 1e9, "controller.law": law, **keys})
+
+
+def slow(scenario: hs.Scenario) -> list[str]:
+    return [words for words in unlikely(scenario) if "too slow for the run" in words or "nothing pulls" in words]
+
+
+def too_long(scenario: hs.Scenario) -> list[str]:
+    return [words for words in unlikely(scenario) if words.startswith("simulation.step: a step of")]
+
+
+# ---- Too slow -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("kp", "kd"), [(1e-4, 4e-2), (0.04, 40.0), (1.0, 40.0), (0.09, 0.6), (10.0, 40.0)])
+def test_what_is_left_is_that_of_the_second_order_in_closed_form(paper: hs.Scenario, kp: float, kd: float) -> None:
+    """computed_torque: s^2 + kd s + kp for each axis, whose fastest pole is that of the damping whatever kp is."""
+    scenario = with_gains(paper, "computed_torque", {"kp": kp, "kd": kd, "prior": 1e-9})
+    roots = np.roots([1.0, kd, kp]) + np.array([1e-7, -1e-7])  # the double pole is the limit of two
+    shares = np.array([-roots[1], roots[0]]) / (roots[0] - roots[1])
+    left = float((shares * np.exp(roots * scenario.simulation.duration)).sum().real)
+    assert least_image_error(scene_of(scenario)) == pytest.approx(left, rel=1e-3, abs=1e-6)
+    assert bool(slow(scenario)) == (left > 0.5)
+
+
+def test_the_warning_begins_at_half_of_the_image_error(paper: hs.Scenario) -> None:
+    """resolved_rate: exp(-gain T), as in runs."""
+    half = math.log(2.0) / paper.simulation.duration
+    for gain, warned in ((0.95 * half, True), (1.05 * half, False)):
+        scenario = with_gains(paper, "resolved_rate", {"gain": gain, "damping": 0.0})
+        assert bool(slow(scenario)) == warned
+        errors = np.abs(np.asarray(hs.simulate(scenario).feature_error)).max(axis=1)
+        assert bool(errors.min() > 0.5 * errors[0]) == warned
+
+
+@pytest.mark.parametrize(
+    ("law", "gains"),
+    [
+        ("computed_torque", {"kp": 0.04}),
+        ("computed_torque", {"kp": 1.0}),
+        ("pbvs", {"kp": 1e-4}),
+        ("pbvs", {"kp": 0.01}),
+        ("resolved_rate", {"gain": 0.1}),
+    ],
+)
+def test_runs_leave_what_is_named(paper: hs.Scenario, law: str, gains: dict[str, float]) -> None:
+    scenario = with_gains(paper, law, gains)
+    (words,) = slow(scenario)
+    found = re.search(r"linear loop ([0-9.]+) % of the image error", words)
+    assert found
+    errors = np.abs(np.asarray(hs.simulate(scenario).feature_error)).max(axis=1)
+    assert 0.01 * float(found[1]) == pytest.approx(float(errors.min() / errors[0]), abs=0.03)
+
+
+@pytest.mark.parametrize(("law", "gain"), [("pbvs", "kp"), ("kelly", "kp"), ("computed_torque", "kp")])
+def test_without_stiffness_nothing_pulls(paper: hs.Scenario, law: str, gain: str) -> None:
+    (words,) = slow(with_gains(paper, law, {gain: 0.0}))
+    assert words.startswith(f"controller.{law}: nothing pulls to the goal")
+    assert words.endswith(f"controller.{law}.auto.bandwidth fits gains to the machine")
+    fitted = with_gains(paper, law, {"auto.bandwidth": 2.0})
+    assert slow(fitted) == []
+    (words,) = slow(with_gains(fitted, law, {gain: 0.0}))
+    assert words.endswith(f"null for controller.{law}.{gain} leaves them to controller.{law}.auto")
+
+
+def test_without_a_gain_of_the_image_nothing_pulls(paper: hs.Scenario) -> None:
+    (words,) = slow(with_gains(paper, "resolved_rate", {"gain": 0.0}))
+    assert "nothing pulls to the goal" in words
+
+
+def test_adaptation_that_pulls_without_a_stiffness_is_none_of_them() -> None:
+    """composite: the weights integrate the pose error, and the run settles."""
+    scenario = hs.load_scenario("paper-composite").updated({"controller.composite.kt": 0.0})
+    assert slow(scenario) == []
+    assert np.isfinite(hs.metrics(hs.simulate(scenario))["settling_time"])
+
+
+@pytest.mark.parametrize("name", hs.scenario_names())
+def test_gains_of_packaged_scenarios_are_fast_enough_and_their_steps_short_enough(name: str) -> None:
+    scenario = hs.load_scenario(name)
+    assert slow(scenario) + too_long(scenario) == []
+
+
+# ---- The step of the integration ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("law", "gains"),
+    [
+        ("pbvs", {"kp": 1.0, "kd": [240.0] * 3 + [0.6, 0.6, 1.2]}),
+        ("kelly", {"kd": [240.0] * 3 + [0.6, 0.6, 1.2]}),
+        ("computed_torque", {"kd": 3000.0, "kp": 250000.0}),
+        ("resolved_rate", {"ki": [300.0] * 3 + [0.75, 0.75, 1.5]}),
+        ("pbvs", {"kp": [6e6] * 3 + [1e4] * 3, "kd": [100.0] * 3 + [0.1] * 3}),
+    ],
+)
+def test_a_run_diverges_beyond_the_step_that_is_named(paper: hs.Scenario, law: str, gains: dict[str, Any]) -> None:
+    scenario = with_gains(paper, law, gains)
+    (words,) = too_long(scenario)
+    found = re.search(r"take at most ([0-9.]+) (\w+), or lower gains", words)
+    assert found
+    step = float(found[1]) * {"us": 1e-6, "ms": 1e-3}[found[2]]
+    for factor, diverges in ((0.98, False), (1.06, True)):
+        own = factor * step
+        other = scenario.updated({"simulation": {"step": own, "duration": 400 * own}})
+        assert bool(too_long(other)) == diverges
+        assert (hs.simulate(other).outcome != "completed") == diverges
+
+
+def test_the_longest_step_of_a_damper_is_2_785_time_constants(paper: hs.Scenario) -> None:
+    """R(z) = 1 + z + z^2/2 + z^3/6 + z^4/24 is 1 at z = -2.7853; sampled ticks have their own sentence."""
+    border = min(root.real for root in np.roots([1 / 24, 1 / 6, 1 / 2, 1.0, 0.0]) if abs(root.imag) < 1e-9)
+    assert border == pytest.approx(-2.7853, abs=1e-4)
+    scenario = with_gains(paper, "kelly", {"kd": 0.1})
+    longest = -border / fastest_rate(scene_of(scenario))
+    for factor, named in ((0.999, False), (1.001, True)):
+        step = {"simulation.step": factor * longest, "simulation.duration": 100 * factor * longest}
+        assert bool(too_long(scenario.updated(step))) == named
+        assert too_long(scenario.updated({**step, "simulation.mode": "sampled"})) == []
+
+
+def test_an_undamped_loop_is_judged_by_the_imaginary_axis(paper: hs.Scenario) -> None:
+    """hybrid has Coulomb damping alone: the method takes frequencies up to 2.828/h."""
+    scenario = with_gains(paper, "hybrid", {"kv": 0.0, "fuzzy.enabled": False})
+    longest = math.sqrt(8.0) / fastest_rate(scene_of(scenario))
+    for factor, named in ((0.99, False), (1.01, True)):
+        step = {"simulation.step": factor * longest, "simulation.duration": 1000 * factor * longest}
+        assert bool(too_long(scenario.updated(step))) == named
+        assert (hs.simulate(scenario.updated(step)).outcome != "completed") == named
