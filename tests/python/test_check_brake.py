@@ -96,6 +96,49 @@ def test_runs_without_frames_come_to_rest_up_to_the_gains_that_are_named(changes
     assert late > 2.0 * early
 
 
+@pytest.mark.parametrize("cranks", [False, True])
+@pytest.mark.parametrize(
+    "devices",
+    [
+        {"actuators.delay": 2 / 150},
+        {"actuators.bandwidth": 20.0},
+        {"sensors.period": 2 / 150},
+        {
+            "sensors.period": 3 / 150,
+            "actuators.delay": 1 / 150,
+            "actuators.bandwidth": 30.0,
+            "actuators.hold": "leg_forces",
+        },
+    ],
+)
+@pytest.mark.parametrize("factor", [0.97, 1.03])
+def test_runs_grow_as_the_loop_does_with_sensors_and_drives(
+    devices: dict[str, Any], factor: float, cranks: bool
+) -> None:
+    """Near the border, over 550 ticks without a frame: other modes have decayed by then."""
+    inertia = 150.0 * np.array([5.0, 5.0, 5.0, 0.0125, 0.0125, 0.025])
+
+    def with_share(share: float) -> hs.Scenario:
+        gains = {DAMPING: (5.0 * share * inertia).tolist(), HOLD: (300.0 * share**2 * inertia).tolist()}
+        return machine({**devices, "camera.timeout": 0.5, **gains}, cranks=cranks)
+
+    whole = with_share(1.0)
+    scene = scene_of(whole)
+    border = BrakeLoop(scene, Brake(scene, 1 / 150)).largest_share(1, 2)
+    assert border is not None
+    scenario = with_share(factor * border)
+    expected = growth(scenario)
+    assert (expected > 1.0) == (factor > 1.0)
+    moved = {
+        "camera.dropout": 1.0,
+        "sensors.resolution": 0.0,
+        "simulation.start.twist": [1e-5] * 3 + [1e-4] * 3,
+        "simulation.duration": 900 / 150,
+    }
+    speed = np.abs(np.asarray(hs.simulate(scenario.updated(moved)).twist)).max(axis=1)
+    assert (speed[-150:].max() / speed[200:350].max()) ** (1 / 550) == pytest.approx(expected, abs=5e-4)
+
+
 def test_a_hold_without_damping_is_unstable_however_small_it_is() -> None:
     """A spring by the position a period ago: |z|^2 = 1 + K_h T^2/(2 D)."""
     (note,) = of_brake(notes(machine({DAMPING: 0.0, HOLD: 100.0})))
