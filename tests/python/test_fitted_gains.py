@@ -17,7 +17,8 @@ from fitted_machines import BAND, MODES, SEED, STARTS, Array, Row, draw, image, 
 from hexservo.cli.commands import app
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check import unlikely
-from hexservo.findings.check_gains import image_delay, of_gains, smoothing_lag, start_forces
+from hexservo.findings.check_forces import start_forces
+from hexservo.findings.check_gains import image_delay, of_gains, smoothing_lag
 from hexservo.findings.check_keys import keys_without_effect
 from hexservo.run.export import gains_header
 from hexservo.scenario.fitted import chosen_keys, fitted_keys, gains_written, machine_of
@@ -475,7 +476,8 @@ def test_a_bandwidth_is_within_a_quarter_of_the_servo_rate_and_a_tenth_of_the_ru
 def test_the_force_at_the_start_is_that_of_a_run(paper: hs.Scenario) -> None:
     for law in LAWS:
         fast = with_auto(paper, law, 40.0).updated({"simulation.duration": 0.01})
-        weight, rest = start_forces(scene_of(fast))
+        weight, rest, noise = start_forces(scene_of(fast))
+        assert not noise.any()  # in continuous mode
         np.testing.assert_allclose(weight + rest, hs.simulate(fast).leg_forces[0], rtol=1e-9)
         (sentence,) = warnings_of(fast, f"controller.{law}.auto.bandwidth: 40 Hz needs")
         most = float(sentence.rpartition("enough for ")[2].removesuffix(" Hz"))
@@ -489,7 +491,7 @@ def test_the_force_at_the_start_is_that_of_a_run(paper: hs.Scenario) -> None:
 def test_the_twist_at_the_start_counts_in_the_force(paper: hs.Scenario) -> None:
     twist = {"simulation.start.twist": [0.02, 0.0, 0.0, 0.0, 0.1, 0.0], "simulation.duration": 0.01}
     moving, resting = (with_auto(paper, "kelly", 40.0).updated(changes) for changes in (twist, {}))
-    forces = [sum(start_forces(scene_of(each))) for each in (moving, resting)]
+    forces = [start.weight + start.law for start in map(start_forces, map(scene_of, (moving, resting)))]
     np.testing.assert_allclose(forces[0], hs.simulate(moving).leg_forces[0], rtol=1e-9)
     assert np.abs(forces[0] - forces[1]).max() > 0.3  # [N]
 
@@ -498,7 +500,7 @@ def test_a_law_that_pushes_against_the_weight_has_the_weight_besides(paper: hs.S
     """Down, along the weight: legs that carry less than nothing of it have what the limit leaves, and the weight."""
     goal = {"target.desired_features": hs.project(paper, [0.0, 0.0, 0.004, 0.0, 0.0, 0.0]).tolist()}
     fast = with_auto(paper, "pbvs", 40.0).updated({**goal, "simulation.duration": 0.01})
-    weight, law = start_forces(scene_of(fast))
+    weight, law, _ = start_forces(scene_of(fast))
     leg = int(np.abs(law).argmax())
     assert weight[leg] * law[leg] < 0.0
     (sentence,) = warnings_of(fast, "controller.pbvs.auto.bandwidth: 40 Hz needs")

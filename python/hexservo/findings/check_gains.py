@@ -11,10 +11,10 @@ from hexservo import _core
 from hexservo.findings.analysis.reach import nearest_limit
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.analysis.words import AXES
+from hexservo.findings.check_forces import of_fitted_forces, of_written_forces, start_forces
 from hexservo.findings.coupling import SHARE, has_products, noise_at_rest, settling
 from hexservo.findings.leg_feedback import OF_MARGIN, feedback_margin, integral_margin
 from hexservo.findings.prior import largest_share, left_by_inverse, share_of_prior
-from hexservo.scenario.arrays import Array
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.fitted import Machine, auto_of, chosen_keys, fitted_keys, idle_gains
 from hexservo.scenario.keys import value_at
@@ -22,7 +22,7 @@ from hexservo.scenario.laws import LAWS
 from hexservo.scenario.parameters import actuators_lag, frame_period, image_age
 from hexservo.scenario.pixels import feature_noise
 from hexservo.scenario.scenario import Scenario
-from hexservo.scenario.wording import apart, below, number, quantity, shown_unit
+from hexservo.scenario.wording import apart, below, number, quantity
 
 OF_SERVO_RATE = 0.25  # share of it that a bandwidth may have
 _OF_RUN = 0.1  # periods of the bandwidth that a run must have at least
@@ -76,7 +76,7 @@ def of_gains(scene: Scene, fastest: float | None) -> Iterator[str]:
             key = f"controller.{law}: the gains' bandwidth of {{}} Hz"
             yield from _too_slow(scenario, key, fastest / (2.0 * math.pi))
         if scenario.actuators.kind == "force":
-            yield from _of_written_forces(scene)
+            yield from of_written_forces(scene)
     yield from _of_way(scene)
     yield from _of_pull(scene)
     yield from _of_switching(scene)
@@ -250,47 +250,14 @@ def _of_delay(scenario: Scenario, key: str, bandwidth: float, damping: float) ->
 
 
 def _of_forces(scene: Scene, key: str) -> Iterator[str]:
-    weight, law, limit, unit = *start_forces(scene), scene.scenario.robot.force_limit, scene.units.effort
+    weight, limit = start_forces(scene).weight, scene.scenario.robot.force_limit
     if np.abs(weight).max() > limit:
-        yield f"{key} fits no better than any other: the legs' {quantity(limit, unit)} do not carry the weight"
-        return
-    if not _has_fitted_motion(scene.scenario):  # then the wrench does not follow the bandwidth
-        yield from _of_written_forces(scene)
-        return
-    leg, share = _least_share(weight, law, limit)
-    if share < 1.0:
-        bandwidth = auto_of(scene.scenario).bandwidth
-        assert bandwidth is not None
-        most = below(bandwidth * math.sqrt(share) * _ROUNDING)
-        yield f"{key} {_needed(scene, weight, law, leg)}: enough for {most} Hz"
-
-
-def _of_written_forces(scene: Scene) -> Iterator[str]:
-    """Find gains, defaults or written ones, that need more than the legs have, where nothing limits the forces.
-
-    A weight that the legs do not carry has its own sentence.
-    """
-    if scene.scenario.actuators.saturation:
-        return
-    weight, law, limit = *start_forces(scene), scene.scenario.robot.force_limit
-    leg, share = _least_share(weight, law, limit)
-    if np.abs(weight).max() <= limit and share < 1.0:
-        key = f"controller.{scene.scenario.controller.law}"
-        yield f"{key}: the law {_needed(scene, weight, law, leg)}; {key}.auto.bandwidth fits its gains to the machine"
-
-
-def _least_share(weight: Array, law: Array, limit: float) -> tuple[int, float]:
-    """Return the leg that has the least of what the law needs beyond the weight, and the share that it has."""
-    share = (limit - np.sign(law) * weight) / np.maximum(np.abs(law), 1e-300)
-    leg = int(share.argmin())
-    return leg, float(share[leg])
-
-
-def _needed(scene: Scene, weight: Array, law: Array, leg: int) -> str:
-    limit, force = scene.scenario.robot.force_limit, abs(float(weight[leg] + law[leg]))
-    unit, scale = shown_unit(force, scene.units.effort)  # of the larger one
-    needed, available = apart(force * scale, limit * scale, 3)
-    return f"needs {needed} {unit} of leg {leg + 1} at the start, which has {available} {unit}"
+        legs = quantity(limit, scene.units.effort)
+        yield f"{key} fits no better than any other: the legs' {legs} do not carry the weight"
+    elif _has_fitted_motion(scene.scenario):
+        yield from of_fitted_forces(scene, key)
+    else:  # then the wrench does not follow the bandwidth
+        yield from of_written_forces(scene)
 
 
 def _of_coupling(scene: Scene, key: str) -> Iterator[str]:
@@ -460,15 +427,3 @@ def turning_share(machine: Machine) -> float:
     pull = machine.common_pull[:, 3:]
     turned = np.einsum("ij,ji->i", pull, np.linalg.solve(machine.mass[3:, 3:], pull.T))
     return float((turned / machine.pointing).min())
-
-
-def start_forces(scene: Scene) -> tuple[Array, Array]:
-    """Return the leg forces at the start, (6,) each [N]: what carries the estimated weight, and the rest."""
-    view, pose = scene.view(scene.start), scene.start
-    depth, twist = scene.probe.measured_depth(view.depth[None]), scene.settings["simulation.start.twist"][None]
-    given = scene.probe.law(view.features[None], depth, pose.rows.position, pose.rows.quaternion, twist, None).wrench
-    weight, whole = (
-        np.asarray(scene.hexapod.leg_forces(pose.position, pose.quaternion, wrench))
-        for wrench in (scene.body.weight(pose.quaternion), given[0])
-    )
-    return weight, np.nan_to_num(whole - weight)
