@@ -77,7 +77,7 @@ def test_noise_that_the_legs_are_too_weak_for() -> None:
     assert silent["peak_leg_force"] < 1.1 * 49.0
     (sentence,) = needs(machine("resolved_rate", 8.0))
     parts = re.search(
-        r"needs (\d+) N of .* \(([\d.]+) N and, for noise, three standard deviations, (\d+) N\)", sentence
+        r"needs (\d+) N of .* \(([\d.]+) N, and (\d+) N for three standard deviations of the noise\)", sentence
     )
     assert parts is not None, sentence
     whole, alone, noise = map(float, parts.groups())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,22 @@ import pytest
 from typer.testing import CliRunner
 
 import hexservo as hs
-from fitted_machines import BAND, MODES, SEED, STARTS, Array, Row, draw, image, rotation, row, settled, warned
+from fitted_machines import (
+    BAND,
+    MODES,
+    SEED,
+    STARTS,
+    Array,
+    Row,
+    draw,
+    image,
+    rotation,
+    row,
+    scenario_of,
+    settled,
+    variations,
+    warned,
+)
 from hexservo.cli.commands import app
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check import unlikely
@@ -555,6 +571,40 @@ def test_a_bound_that_is_named_holds(paper: hs.Scenario) -> None:
     brief = with_auto(paper, "pbvs", 1.9996, **{"simulation.duration": 0.05})
     (sentence,) = warnings_of(brief)
     assert sentence.startswith("controller.pbvs.auto.bandwidth: 1.9996 Hz is below 2 Hz, a tenth")
+
+
+@pytest.mark.parametrize("damping", [0.5, 2.0])
+def test_a_late_image_takes_what_friction_and_adaptation_damp(damping: float) -> None:
+    """Other machines than those of which the bound is: all settle with a delay of 0.0094/f, none with 0.028/f."""
+    machines = draw(30, "pointing", seed=21)
+    fits = ~warned("hybrid", machines)
+    machines = replace(machines, **{name: getattr(machines, name)[fits] for name in vars(machines)})
+    assert len(machines.mass) >= 5
+    periods = 1.0 / machines.bandwidth
+    base = scenario_of("hybrid", machines, "sampled").updated({"controller.hybrid.auto.damping": damping})
+    for ticks, settles in ((1.5, True), (4.5, False)):  # of 1/(160 f)
+        late = {"simulation.step": periods / 160, "camera.latency": (ticks - 0.5) * periods / 160}
+        varied = {**variations("hybrid", machines), **late}
+        batch = hs.simulate_batch(base, varied, log="metrics")
+        assert (np.isfinite(batch.metrics["settling_time"]) == settles).all()
+        for index in range(len(periods)):
+            one = base.updated({key: values[index].tolist() for key, values in varied.items()})
+            assert image_delay(one) == pytest.approx(ticks * periods[index] / 160)
+            assert bool(warnings_of(one, "controller.hybrid.auto.bandwidth")) != settles
+
+
+def test_an_image_that_is_too_late_for_friction_and_adaptation(paper: hs.Scenario) -> None:
+    """A bandwidth that the sentence names settles, and the one that it warns of diverges."""
+    changes = {"simulation.mode": "sampled", "controller.switching.kind": "implicit", "camera.latency": 0.02}
+    late = with_auto(paper, "hybrid", 5.0, **changes)
+    (sentence,) = warnings_of(late)
+    assert "takes half of what friction and adaptation damp away" in sentence
+    assert hs.simulate(late).outcome == "diverged"
+    most = float(re.search(r"is above ([\d.]+) Hz", sentence)[1])  # type: ignore[index]
+    slow = with_auto(paper, "hybrid", most, **changes, **{"simulation.duration": 40.0})
+    assert not warnings_of(slow)
+    assert math.isfinite(hs.metrics(hs.simulate(slow))["settling_time"])
+    assert not warnings_of(with_auto(paper, "pbvs", 5.0, **{**changes, "controller.switching.kind": "sign"}))
 
 
 def test_a_late_image_takes_damping_away(paper: hs.Scenario) -> None:

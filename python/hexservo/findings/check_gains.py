@@ -27,6 +27,7 @@ from hexservo.scenario.wording import apart, below, number, quantity
 OF_SERVO_RATE = 0.25  # share of it that a bandwidth may have
 _OF_RUN = 0.1  # periods of the bandwidth that a run must have at least
 _SLOW = 0.5  # of the bandwidth: motions below it are slow
+_LATE_BY_FRICTION = 0.01  # periods: half of the delay with which laws without viscous damping settle (docs/gains.md)
 _LEFT = 0.02  # share of the image error that may be slow, or stay
 _TURNED = 0.9  # share of rotations in the common motion of the features
 _COUPLED = 0.85, 1.2  # least and most of the time to settle, over that without products of the inertia
@@ -241,12 +242,13 @@ def smoothing_lag(scenario: Scenario) -> float:
 
 
 def _of_delay(scenario: Scenario, key: str, bandwidth: float, damping: float) -> Iterator[str]:
-    delay = image_delay(scenario)
-    most = damping / (2.0 * math.pi * delay) if delay > 0.0 else math.inf
+    delay, viscous = image_delay(scenario), scenario.controller.traits.viscous
+    most = (damping / (2.0 * math.pi) if viscous else _LATE_BY_FRICTION) / delay if delay > 0.0 else math.inf
     if bandwidth > most * _ROUNDING:
         above = _out_of_bound(key, "above", bandwidth, most)
         late = quantity(delay, "s")
-        yield f"{above}, where an image that takes effect {late} late, drives included, takes half of the damping away"
+        damped = "the damping" if viscous else "what friction and adaptation damp"
+        yield f"{above}, where an image that takes effect {late} late, drives included, takes half of {damped} away"
 
 
 def _of_forces(scene: Scene, key: str) -> Iterator[str]:
