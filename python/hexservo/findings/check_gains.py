@@ -16,6 +16,7 @@ from hexservo.findings.coupling import SHARE, has_products, noise_at_rest, settl
 from hexservo.findings.leg_feedback import OF_MARGIN, feedback_margin, integral_margin
 from hexservo.findings.prior import largest_share, left_by_inverse, share_of_prior
 from hexservo.scenario.block import SAMPLED_MODE
+from hexservo.scenario.default_gains import is_far, misfit, platform_of_defaults
 from hexservo.scenario.fitted import Machine, auto_of, chosen_keys, fitted_keys, idle_gains
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.laws import LAWS
@@ -76,6 +77,7 @@ def of_gains(scene: Scene, fastest: float | None) -> Iterator[str]:
         if fastest is not None:
             key = f"controller.{law}: the gains' bandwidth of {{}} Hz"
             yield from _too_slow(scenario, key, fastest / (2.0 * math.pi))
+        yield from _of_defaults(scenario)
         if scenario.actuators.kind == "force":
             yield from of_written_forces(scene)
     yield from _of_way(scene)
@@ -85,6 +87,17 @@ def of_gains(scene: Scene, fastest: float | None) -> Iterator[str]:
         yield from _of_feedback(scenario, law)
         yield from _of_band(scene, f"controller.{law}")
         yield from _of_noise(scenario, f"controller.{law}")
+
+
+def _of_defaults(scenario: Scenario) -> Iterator[str]:
+    """Find default gains on a machine that they do not fit, as after a change of the law alone."""
+    if is_far(scenario):
+        key = f"controller.{scenario.controller.law}"
+        yield (
+            f"{key}: its gains are the defaults, of {platform_of_defaults()}: those of any "
+            f"bandwidth differ from them by a factor of {number(misfit(scenario), 2)} or more on this machine; "
+            f"{key}.auto.bandwidth fits them"
+        )
 
 
 def _of_switching(scene: Scene) -> Iterator[str]:
@@ -312,6 +325,13 @@ def _decoupling_laws(scenario: Scenario) -> str:
     return " or ".join(f"{law} with controller.{law}.auto.bandwidth: {bandwidth:g}" for law in laws)
 
 
+def _laws_of_the_pose() -> Iterator[str]:
+    """Yield the laws that find the pose of the image, with a spring to that of the goal."""
+    for law, traits in _core.LAW_TRAITS.items():
+        if traits.pose_error and not traits.inverse:
+            yield law
+
+
 def _of_image(scene: Scene, key: str) -> Iterator[str]:
     """Yield where the law's own structure keeps it from settling as others do."""
     law, machine = scene.scenario.controller.law, scene.machine
@@ -355,9 +375,12 @@ def _of_way(scene: Scene) -> Iterator[str]:
         return
     shift, turn = (number(float(np.linalg.norm(part))) for part in np.split(first, 2))
     remedy = f"{traits.inverse} that is larger for shifts" if traits.prior else f"smaller {traits.inverse}"
+    bandwidth = auto_of(scene.scenario).bandwidth
+    fitted = "" if bandwidth is None else f": {number(bandwidth)}"
+    of_pose = " or ".join(f"{each} with controller.{each}.auto.bandwidth{fitted}" for each in _laws_of_the_pose())
     yield (
         f"controller.{law}.{traits.inverse}: the law first goes to a pose {shift} m and {turn} rad from home, where "
-        f"{limit.beyond}, although the legs reach the goal; a {remedy}, or a law of the pose, does not"
+        f"{limit.beyond}, although the legs reach the goal; a {remedy}, or a law of the pose, {of_pose}, does not"
     )
 
 
