@@ -17,7 +17,7 @@ from hexservo import _core
 from hexservo.findings.analysis.linear_law import NotFiniteError
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check import fastest_rate, has_sides_exchanged, unlikely
-from hexservo.findings.check_gains import start_forces
+from hexservo.findings.check_forces import start_forces
 from hexservo.findings.check_keys import keys_without_effect, needed_by, settings_needed
 from hexservo.scenario.blocks import Robot
 from hexservo.scenario.core_defaults import core_default
@@ -37,6 +37,7 @@ EXPECTED = {
     ],
     "fails-poor-image": [
         "target: at the start 0.3 px of noise in one image makes the platform uncertain by 712 mm",
+        "controller.resolved_rate: the law needs 37.8 N of leg 3 at the start (375 mN, and 37.4 N for three",
         "controller.law: runs of resolved_rate that begin at the goal before a target at rest are not settled",
     ],
     # whose gain is that of the package
@@ -414,7 +415,7 @@ def test_a_force_limit_and_what_exceeds_it_are_two_numbers(name: str, friction: 
 
 def test_what_the_law_needs_and_what_a_leg_has_are_two_numbers() -> None:
     paper = hs.load_scenario("paper")
-    needed = float(np.abs(sum(start_forces(scene_of(paper)))).max())
+    needed = float(start_forces(scene_of(paper)).needed.max())
     line = next(
         each for each in unlikely(paper.updated({"robot.force_limit": 0.99999 * needed})) if "at the start" in each
     )

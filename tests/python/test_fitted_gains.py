@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,27 @@ import pytest
 from typer.testing import CliRunner
 
 import hexservo as hs
-from fitted_machines import BAND, MODES, SEED, STARTS, Array, Row, draw, image, rotation, row, settled, warned
+from fitted_machines import (
+    BAND,
+    MODES,
+    SEED,
+    STARTS,
+    Array,
+    Row,
+    draw,
+    image,
+    rotation,
+    row,
+    scenario_of,
+    settled,
+    variations,
+    warned,
+)
 from hexservo.cli.commands import app
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check import unlikely
-from hexservo.findings.check_gains import image_delay, of_gains, smoothing_lag, start_forces
+from hexservo.findings.check_forces import start_forces
+from hexservo.findings.check_gains import image_delay, of_gains, smoothing_lag
 from hexservo.findings.check_keys import keys_without_effect
 from hexservo.run.export import gains_header
 from hexservo.scenario.fitted import chosen_keys, fitted_keys, gains_written, machine_of
@@ -465,7 +482,8 @@ def test_a_bandwidth_is_within_a_quarter_of_the_servo_rate_and_a_tenth_of_the_ru
 def test_the_force_at_the_start_is_that_of_a_run(paper: hs.Scenario) -> None:
     for law in LAWS:
         fast = with_auto(paper, law, 40.0).updated({"simulation.duration": 0.01})
-        weight, rest = start_forces(scene_of(fast))
+        weight, rest, noise = start_forces(scene_of(fast))
+        assert not noise.any()  # in continuous mode
         np.testing.assert_allclose(weight + rest, hs.simulate(fast).leg_forces[0], rtol=1e-9)
         (sentence,) = warnings_of(fast, f"controller.{law}.auto.bandwidth: 40 Hz needs")
         most = float(sentence.rpartition("enough for ")[2].removesuffix(" Hz"))
@@ -479,7 +497,7 @@ def test_the_force_at_the_start_is_that_of_a_run(paper: hs.Scenario) -> None:
 def test_the_twist_at_the_start_counts_in_the_force(paper: hs.Scenario) -> None:
     twist = {"simulation.start.twist": [0.02, 0.0, 0.0, 0.0, 0.1, 0.0], "simulation.duration": 0.01}
     moving, resting = (with_auto(paper, "kelly", 40.0).updated(changes) for changes in (twist, {}))
-    forces = [sum(start_forces(scene_of(each))) for each in (moving, resting)]
+    forces = [start.weight + start.law for start in map(start_forces, map(scene_of, (moving, resting)))]
     np.testing.assert_allclose(forces[0], hs.simulate(moving).leg_forces[0], rtol=1e-9)
     assert np.abs(forces[0] - forces[1]).max() > 0.3  # [N]
 
@@ -488,7 +506,7 @@ def test_a_law_that_pushes_against_the_weight_has_the_weight_besides(paper: hs.S
     """Down, along the weight: legs that carry less than nothing of it have what the limit leaves, and the weight."""
     goal = {"target.desired_features": hs.project(paper, [0.0, 0.0, 0.004, 0.0, 0.0, 0.0]).tolist()}
     fast = with_auto(paper, "pbvs", 40.0).updated({**goal, "simulation.duration": 0.01})
-    weight, law = start_forces(scene_of(fast))
+    weight, law, _ = start_forces(scene_of(fast))
     leg = int(np.abs(law).argmax())
     assert weight[leg] * law[leg] < 0.0
     (sentence,) = warnings_of(fast, "controller.pbvs.auto.bandwidth: 40 Hz needs")
@@ -543,6 +561,40 @@ def test_a_bound_that_is_named_holds(paper: hs.Scenario) -> None:
     brief = with_auto(paper, "pbvs", 1.9996, **{"simulation.duration": 0.05})
     (sentence,) = warnings_of(brief)
     assert sentence.startswith("controller.pbvs.auto.bandwidth: 1.9996 Hz is below 2 Hz, a tenth")
+
+
+@pytest.mark.parametrize("damping", [0.5, 2.0])
+def test_a_late_image_takes_what_friction_and_adaptation_damp(damping: float) -> None:
+    """Other machines than those of which the bound is: all settle with a delay of 0.0094/f, none with 0.028/f."""
+    machines = draw(30, "pointing", seed=21)
+    fits = ~warned("hybrid", machines)
+    machines = replace(machines, **{name: getattr(machines, name)[fits] for name in vars(machines)})
+    assert len(machines.mass) >= 5
+    periods = 1.0 / machines.bandwidth
+    base = scenario_of("hybrid", machines, "sampled").updated({"controller.hybrid.auto.damping": damping})
+    for ticks, settles in ((1.5, True), (4.5, False)):  # of 1/(160 f)
+        late = {"simulation.step": periods / 160, "camera.latency": (ticks - 0.5) * periods / 160}
+        varied = {**variations("hybrid", machines), **late}
+        batch = hs.simulate_batch(base, varied, log="metrics")
+        assert (np.isfinite(batch.metrics["settling_time"]) == settles).all()
+        for index in range(len(periods)):
+            one = base.updated({key: values[index].tolist() for key, values in varied.items()})
+            assert image_delay(one) == pytest.approx(ticks * periods[index] / 160)
+            assert bool(warnings_of(one, "controller.hybrid.auto.bandwidth")) != settles
+
+
+def test_an_image_that_is_too_late_for_friction_and_adaptation(paper: hs.Scenario) -> None:
+    """A bandwidth that the sentence names settles, and the one that it warns of diverges."""
+    changes = {"simulation.mode": "sampled", "controller.switching.kind": "implicit", "camera.latency": 0.02}
+    late = with_auto(paper, "hybrid", 5.0, **changes)
+    (sentence,) = warnings_of(late)
+    assert "takes half of what friction and adaptation damp away" in sentence
+    assert hs.simulate(late).outcome == "diverged"
+    most = float(re.search(r"is above ([\d.]+) Hz", sentence)[1])  # type: ignore[index]
+    slow = with_auto(paper, "hybrid", most, **changes, **{"simulation.duration": 40.0})
+    assert not warnings_of(slow)
+    assert math.isfinite(hs.metrics(hs.simulate(slow))["settling_time"])
+    assert not warnings_of(with_auto(paper, "pbvs", 5.0, **{**changes, "controller.switching.kind": "sign"}))
 
 
 def test_a_late_image_takes_damping_away(paper: hs.Scenario) -> None:

@@ -160,8 +160,9 @@ def compare(
 ) -> None:
     """Run several laws on several scenarios and compare them.
 
-    Only the law of a scenario is replaced. The table lists verdict, settling time, residual and cost of each run;
-    --out writes it as Markdown and CSV too, with a page of plots.
+    Only the law of a scenario is replaced; a law of which no gain is written takes over its auto.bandwidth. The table
+    lists verdict, settling time, residual and cost of each run; --out writes it as Markdown and CSV too, with a page
+    of plots.
     """
     with errors_as_messages():
         from hexservo.run.files import check_folder, has_results
@@ -398,6 +399,8 @@ def _comparison_report(
     for row in comparison.rows:
         if not row.settled or row.passed_limits:
             yield Text(f"{row.scenario.name}, {row.law}: {row.verdict}: {row.why}", style="yellow")
+    for sentence in comparison.remarks:
+        yield Text(sentence)
     runs = f"{len(comparison.rows)} runs" if len(comparison.rows) > 1 else "1 run"
     if comparison.interrupted:
         runs = f"{comparison.finished} of {runs}"

@@ -11,22 +11,24 @@ from hexservo import _core
 from hexservo.findings.analysis.reach import nearest_limit
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.analysis.words import AXES
+from hexservo.findings.check_forces import of_fitted_forces, of_written_forces, start_forces
 from hexservo.findings.coupling import SHARE, has_products, noise_at_rest, settling
 from hexservo.findings.leg_feedback import OF_MARGIN, feedback_margin, integral_margin
 from hexservo.findings.prior import largest_share, left_by_inverse, share_of_prior
-from hexservo.scenario.arrays import Array
 from hexservo.scenario.block import SAMPLED_MODE
+from hexservo.scenario.default_gains import is_far, misfit, platform_of_defaults
 from hexservo.scenario.fitted import Machine, auto_of, chosen_keys, fitted_keys, idle_gains
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.laws import LAWS
 from hexservo.scenario.parameters import actuators_lag, frame_period, image_age
 from hexservo.scenario.pixels import feature_noise
 from hexservo.scenario.scenario import Scenario
-from hexservo.scenario.wording import apart, below, number, quantity, shown_unit
+from hexservo.scenario.wording import apart, below, number, quantity
 
 OF_SERVO_RATE = 0.25  # share of it that a bandwidth may have
 _OF_RUN = 0.1  # periods of the bandwidth that a run must have at least
 _SLOW = 0.5  # of the bandwidth: motions below it are slow
+_LATE_BY_FRICTION = 0.01  # periods: half of the delay with which laws without viscous damping settle (docs/gains.md)
 _LEFT = 0.02  # share of the image error that may be slow, or stay
 _TURNED = 0.9  # share of rotations in the common motion of the features
 _COUPLED = 0.85, 1.2  # least and most of the time to settle, over that without products of the inertia
@@ -63,8 +65,10 @@ def of_gains(scene: Scene) -> Iterator[str]:
     elif scenario.controller.traits.output == "pose":
         bandwidth = scenario.controller.gains.bandwidth
         yield from _of_times(scenario, f"controller.{law}.bandwidth: {{}} Hz", bandwidth)
-    elif scenario.actuators.kind == "force":
-        yield from _of_written_forces(scene)
+    else:
+        yield from _of_defaults(scenario)
+        if scenario.actuators.kind == "force":
+            yield from of_written_forces(scene)
     yield from _of_way(scene)
     yield from _of_pull(scene)
     yield from _of_switching(scene)
@@ -72,6 +76,17 @@ def of_gains(scene: Scene) -> Iterator[str]:
         yield from _of_feedback(scenario, law)
         yield from _of_band(scene, f"controller.{law}")
         yield from _of_noise(scenario, f"controller.{law}")
+
+
+def _of_defaults(scenario: Scenario) -> Iterator[str]:
+    """Find default gains on a machine that they do not fit, as after a change of the law alone."""
+    if is_far(scenario):
+        key = f"controller.{scenario.controller.law}"
+        yield (
+            f"{key}: its gains are the defaults, of {platform_of_defaults()}: those of any "
+            f"bandwidth differ from them by a factor of {number(misfit(scenario), 2)} or more on this machine; "
+            f"{key}.auto.bandwidth fits them"
+        )
 
 
 def _of_switching(scene: Scene) -> Iterator[str]:
@@ -242,56 +257,24 @@ def smoothing_lag(scenario: Scenario) -> float:
 
 
 def _of_delay(scenario: Scenario, key: str, bandwidth: float, damping: float) -> Iterator[str]:
-    delay = image_delay(scenario)
-    most = damping / (2.0 * math.pi * delay) if delay > 0.0 else math.inf
+    delay, viscous = image_delay(scenario), scenario.controller.traits.viscous
+    most = (damping / (2.0 * math.pi) if viscous else _LATE_BY_FRICTION) / delay if delay > 0.0 else math.inf
     if bandwidth > most * _ROUNDING:
         above = _out_of_bound(key, "above", bandwidth, most)
         late = quantity(delay, "s")
-        yield f"{above}, where an image that takes effect {late} late, drives included, takes half of the damping away"
+        damped = "the damping" if viscous else "what friction and adaptation damp"
+        yield f"{above}, where an image that takes effect {late} late, drives included, takes half of {damped} away"
 
 
 def _of_forces(scene: Scene, key: str) -> Iterator[str]:
-    weight, law, limit, unit = *start_forces(scene), scene.scenario.robot.force_limit, scene.units.effort
+    weight, limit = start_forces(scene).weight, scene.scenario.robot.force_limit
     if np.abs(weight).max() > limit:
-        yield f"{key} fits no better than any other: the legs' {quantity(limit, unit)} do not carry the weight"
-        return
-    if not _has_fitted_motion(scene.scenario):  # then the wrench does not follow the bandwidth
-        yield from _of_written_forces(scene)
-        return
-    leg, share = _least_share(weight, law, limit)
-    if share < 1.0:
-        bandwidth = auto_of(scene.scenario).bandwidth
-        assert bandwidth is not None
-        most = below(bandwidth * math.sqrt(share) * _ROUNDING)
-        yield f"{key} {_needed(scene, weight, law, leg)}: enough for {most} Hz"
-
-
-def _of_written_forces(scene: Scene) -> Iterator[str]:
-    """Find gains, defaults or written ones, that need more than the legs have, where nothing limits the forces.
-
-    A weight that the legs do not carry has its own sentence.
-    """
-    if scene.scenario.actuators.saturation:
-        return
-    weight, law, limit = *start_forces(scene), scene.scenario.robot.force_limit
-    leg, share = _least_share(weight, law, limit)
-    if np.abs(weight).max() <= limit and share < 1.0:
-        key = f"controller.{scene.scenario.controller.law}"
-        yield f"{key}: the law {_needed(scene, weight, law, leg)}; {key}.auto.bandwidth fits its gains to the machine"
-
-
-def _least_share(weight: Array, law: Array, limit: float) -> tuple[int, float]:
-    """Return the leg that has the least of what the law needs beyond the weight, and the share that it has."""
-    share = (limit - np.sign(law) * weight) / np.maximum(np.abs(law), 1e-300)
-    leg = int(share.argmin())
-    return leg, float(share[leg])
-
-
-def _needed(scene: Scene, weight: Array, law: Array, leg: int) -> str:
-    limit, force = scene.scenario.robot.force_limit, abs(float(weight[leg] + law[leg]))
-    unit, scale = shown_unit(force, scene.units.effort)  # of the larger one
-    needed, available = apart(force * scale, limit * scale, 3)
-    return f"needs {needed} {unit} of leg {leg + 1} at the start, which has {available} {unit}"
+        legs = quantity(limit, scene.units.effort)
+        yield f"{key} fits no better than any other: the legs' {legs} do not carry the weight"
+    elif _has_fitted_motion(scene.scenario):
+        yield from of_fitted_forces(scene, key)
+    else:  # then the wrench does not follow the bandwidth
+        yield from of_written_forces(scene)
 
 
 def _of_coupling(scene: Scene, key: str) -> Iterator[str]:
@@ -344,6 +327,13 @@ def _decoupling_laws(scenario: Scenario) -> str:
     return " or ".join(f"{law} with controller.{law}.auto.bandwidth: {bandwidth:g}" for law in laws)
 
 
+def _laws_of_the_pose() -> Iterator[str]:
+    """Yield the laws that find the pose of the image, with a spring to that of the goal."""
+    for law, traits in _core.LAW_TRAITS.items():
+        if traits.pose_error and not traits.inverse:
+            yield law
+
+
 def _of_image(scene: Scene, key: str) -> Iterator[str]:
     """Yield where the law's own structure keeps it from settling as others do."""
     law, machine = scene.scenario.controller.law, scene.machine
@@ -387,9 +377,12 @@ def _of_way(scene: Scene) -> Iterator[str]:
         return
     shift, turn = (number(float(np.linalg.norm(part))) for part in np.split(first, 2))
     remedy = f"{traits.inverse} that is larger for shifts" if traits.prior else f"smaller {traits.inverse}"
+    bandwidth = auto_of(scene.scenario).bandwidth
+    fitted = "" if bandwidth is None else f": {number(bandwidth)}"
+    of_pose = " or ".join(f"{each} with controller.{each}.auto.bandwidth{fitted}" for each in _laws_of_the_pose())
     yield (
         f"controller.{law}.{traits.inverse}: the law first goes to a pose {shift} m and {turn} rad from home, where "
-        f"{limit.beyond}, although the legs reach the goal; a {remedy}, or a law of the pose, does not"
+        f"{limit.beyond}, although the legs reach the goal; a {remedy}, or a law of the pose, {of_pose}, does not"
     )
 
 
@@ -461,15 +454,3 @@ def turning_share(machine: Machine) -> float:
     pull = machine.common_pull[:, 3:]
     turned = np.einsum("ij,ji->i", pull, np.linalg.solve(machine.mass[3:, 3:], pull.T))
     return float((turned / machine.pointing).min())
-
-
-def start_forces(scene: Scene) -> tuple[Array, Array]:
-    """Return the leg forces at the start, (6,) each [N]: what carries the estimated weight, and the rest."""
-    view, pose = scene.view(scene.start), scene.start
-    depth, twist = scene.probe.measured_depth(view.depth[None]), scene.settings["simulation.start.twist"][None]
-    given = scene.probe.law(view.features[None], depth, pose.rows.position, pose.rows.quaternion, twist, None).wrench
-    weight, whole = (
-        np.asarray(scene.hexapod.leg_forces(pose.position, pose.quaternion, wrench))
-        for wrench in (scene.body.weight(pose.quaternion), given[0])
-    )
-    return weight, np.nan_to_num(whole - weight)

@@ -17,6 +17,7 @@ from hexservo.run.progress import ProgressCallback, reporting
 from hexservo.run.result import Result
 from hexservo.run.shared import shared_by, variations_of
 from hexservo.run.simulation import simulate
+from hexservo.scenario.default_gains import taken_over
 from hexservo.scenario.laws import ALL_LAWS, LAWS
 from hexservo.scenario.scenario import Document, Scenario, read_document
 from hexservo.scenario.wording import wrong_type
@@ -40,8 +41,9 @@ def compare(
 ) -> Comparison:
     """Run every law on every scenario and tabulate the results (docs/compare.md).
 
-    Only ``controller.law`` of a scenario is replaced; each law has its own block of gains. Runs that differ in numbers
-    only share a batch (`simulate_batch`); all others are single runs (`simulate`).
+    Only ``controller.law`` of a scenario is replaced; each law has its own block of gains. A law of which no gain is
+    written takes over ``auto.bandwidth`` and ``auto.damping`` of the scenario's law (`Comparison.remarks`). Runs that
+    differ in numbers only share a batch (`simulate_batch`); all others are single runs (`simulate`).
 
     Parameters
     ----------
@@ -170,8 +172,9 @@ def _prepared(scenario: Scenario, law: str, *, custom: bool) -> ComparisonRow:
     """
     steps = round(scenario.simulation.duration / scenario.simulation.step)
     log_every = max(scenario.simulation.log_every, -(-steps // _MAX_SAMPLES))
+    of_law = {} if custom else {"controller.law": law, **taken_over(scenario, law)}
     try:
-        changed = scenario.updated({**({} if custom else {"controller.law": law}), "simulation.log_every": log_every})
+        changed = scenario.updated({**of_law, "simulation.log_every": log_every})
     except ScenarioError as error:
         return _refused(law, scenario, error)
     if custom and scenario.simulation.mode != "sampled":

@@ -6,7 +6,7 @@ import csv
 import io
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,8 +19,11 @@ from hexservo.run.files import write_folder
 from hexservo.run.leg_limits import exceeded_limits
 from hexservo.run.metrics import METRICS, metric_unit, readable_unit, shown_number, unsettled
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.default_gains import is_far, platform_of_defaults, taken_over
 from hexservo.scenario.fields import described
+from hexservo.scenario.laws import ALL_LAWS
 from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.wording import number
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -144,6 +147,28 @@ class Comparison:
         """Number of runs that were not interrupted."""
         return sum(row.outcome != "interrupted" for row in self.rows)
 
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """A sentence for each scenario whose bandwidth laws took over, or on whose machine they have default gains."""
+        return tuple(sentence for scenario in self.scenarios for sentence in self._remarks_on(scenario))
+
+    def _remarks_on(self, scenario: Scenario) -> Iterator[str]:
+        own = scenario.controller.law
+        rows = [row for row in self.rows if row.scenario.name == scenario.name and row.law in ALL_LAWS]
+        rows = [row for row in rows if row.outcome != "refused"]
+        if with_bandwidth := [row.law for row in rows if taken_over(scenario, row.law)]:
+            auto = getattr(scenario.controller, own).auto
+            yield (
+                f"{scenario.name}: {_listed(with_bandwidth)} took over the bandwidth of controller.{own}.auto, "
+                f"{number(auto.bandwidth)} Hz with a damping of {number(auto.damping)}, "
+                "since their gains are not written"
+            )
+        if with_defaults := [row.law for row in rows if is_far(row.scenario)]:
+            yield (
+                f"{scenario.name}: {_listed(with_defaults)} had default gains, of {platform_of_defaults()}, which do "
+                "not fit this machine; gains of auto.bandwidth in the law's block do"
+            )
+
     def row(self, law: str, scenario: str) -> ComparisonRow:
         """Return the row of a law and the name of a scenario.
 
@@ -229,13 +254,18 @@ class Comparison:
         return write_folder(folder, self._fill, "a comparison", force=force)
 
     def _fill(self, folder: Path) -> None:
-        (folder / "comparison.md").write_text(self.to_markdown(), encoding="utf-8")
+        remarks = "".join(f"\n{sentence}.\n" for sentence in self.remarks)
+        (folder / "comparison.md").write_text(self.to_markdown() + remarks, encoding="utf-8")
         (folder / "comparison.csv").write_text(self.to_csv(), encoding="utf-8", newline="")
         figure = self.figure()
         for extension in ("svg", "png"):
             (folder / f"comparison.{extension}").write_bytes(image_of(figure, extension))
         for scenario in self.scenarios:
             (folder / f"{scenario.name}.yaml").write_text(scenario.to_yaml(), encoding="utf-8")
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " and ".join([*([", ".join(names[:-1])] if names[1:] else []), names[-1]])
 
 
 def column_texts(

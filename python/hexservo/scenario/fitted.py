@@ -368,6 +368,13 @@ def chosen_keys(scenario: Blocks) -> tuple[str, ...]:
     return tuple(key for key in fitted_keys(law) if not _same(attrgetter(key)(own), follow[key]))
 
 
+def gains_are_defaults(scenario: Blocks, law: str) -> bool:
+    """Return whether a law's block leaves all gains that `auto` would fit to their defaults, without a bandwidth."""
+    own = getattr(scenario.controller, law)
+    defaults = ((key, core_default(f"controller.{law}.{key}")) for key in fitted_keys(law))
+    return own.auto == Auto() and all(_same(attrgetter(key)(own), default) for key, default in defaults)
+
+
 def gains_written(scenario: Blocks) -> dict[str, Any]:
     """Return the changes, by dotted key, that keep the gains that `auto` fits whatever else changes; empty without it.
 
