@@ -75,7 +75,7 @@ def _of_assumed(scene: Scene, gains: Tracking) -> Iterator[str]:
     """Find an assumed noise far above that of the camera, with which the filter takes a place for unknown.
 
     It then takes off what the image is not linear in over a part of the depth (`read_pose`), which is no small motion.
-    In runs of four machines (`rubin-camera-positions`, `moog-6dof2000e`, `pi-h824` with five targets) a filter that
+    In runs of six cases on three machines (`rubin-camera-positions`, `moog-6dof2000e`, `pi-h824`) a filter that
     assumed 0.2 of the depth settled in up to 1.4 times its usual time (with three of the targets up to 3 times), with
     0.5 of it 2 times as late or not at all, and with all of it hardly any did.
     """
