@@ -140,12 +140,12 @@ def test_the_examples_of_comparisons_run(tmp_path: Path) -> None:
     (of_readme,) = (example for example in examples(README) if "hs.compare(" in example)
     (of_page,) = (example for example in examples(ROOT / "docs" / "compare.md") if "comparison.png" in example)
     lines = output_of(of_readme, tmp_path).splitlines()
-    assert lines[0] == "paper hybrid settled - within 2 px from 0.353 s on"
+    assert lines[0] == "paper hybrid settled - within 2 px after 0.353 s"
     assert len(lines) == 6
     assert (tmp_path / "out" / "comparison" / "comparison.svg").stat().st_size > 0
     *table, _, last = output_of(of_page, tmp_path).splitlines()
     assert len(table) == 6
-    assert last.startswith("settled within 2 px from 0.552 s on ")
+    assert last.startswith("settled within 2 px after 0.552 s ")
     assert (tmp_path / "comparison.png").stat().st_size > 0
 
 
