@@ -66,8 +66,8 @@ def as_function(scenario: hs.Scenario) -> Callable[[hs.Observation], np.ndarray[
     tick = hs.Controller(scenario, period=scenario.simulation.step)
 
     def step(seen: hs.Observation) -> np.ndarray[Any, Any]:
-        legs = {"leg_lengths": seen.leg_lengths, "leg_rates": seen.leg_rates}
-        return tick.step(seen.pixels, seen.depth, seen.position, seen.quaternion, seen.twist, **legs).wrench
+        pose = (seen.position, seen.quaternion, seen.twist)
+        return tick.step(seen.pixels, seen.depth, *pose, leg_lengths=seen.leg_lengths, leg_rates=seen.leg_rates).wrench
 
     return step
 
@@ -139,10 +139,10 @@ def test_a_pose_in_place_of_readings_is_refused_with_encoders(sampled: hs.Scenar
     """It would have no effect, and no law would ever act; without encoders it is what the tick needs."""
     pose = (np.zeros(3), [1.0, 0.0, 0.0, 0.0], np.zeros(6))
     tick = hs.Controller(hs.load_scenario("real-machine"))
-    told = r"^leg_lengths: expected 6 lengths, since sensors\.pose is encoders .* got None, and "
-    with pytest.raises(ValueError, match=f"{told}position, quaternion, twist in their place"):
+    refusal = r"^leg_lengths: expected 6 lengths, since sensors\.pose is encoders .* got None, and "
+    with pytest.raises(ValueError, match=f"{refusal}position, quaternion, twist in their place"):
         tick.step(None, None, *pose)
-    with pytest.raises(ValueError, match=f"{told}twist in their place"):
+    with pytest.raises(ValueError, match=f"{refusal}twist in their place"):
         tick.step(twist=np.zeros(6))
     tick.step()  # a tick without a reading
     assert tick.step(None, None, *pose, leg_lengths=np.full(6, np.nan)).status == "unusable"

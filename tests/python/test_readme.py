@@ -143,10 +143,19 @@ def test_the_examples_of_comparisons_run(tmp_path: Path) -> None:
     assert lines[0] == "paper hybrid settled - within 2 px after 0.353 s"
     assert len(lines) == 6
     assert (tmp_path / "out" / "comparison" / "comparison.svg").stat().st_size > 0
-    *table, _, last = output_of(of_page, tmp_path).splitlines()
-    assert len(table) == 6
+    *lines, last = output_of(of_page, tmp_path).splitlines()
+    assert [line[:2] for line in lines[:6]] == ["| "] * 6
+    assert lines[7].split() == ["law", "composite", "hybrid"]  # of pandas
     assert last.startswith("settled within 2 px after 0.552 s ")
     assert (tmp_path / "comparison.png").stat().st_size > 0
+
+
+@pytest.mark.parametrize("name", ["slow-camera", "real-machine"])
+def test_the_example_of_a_custom_controller_runs_with_and_without_encoders(name: str, tmp_path: Path) -> None:
+    """On real-machine every tick was unusable without the lengths of the legs, and the run diverged."""
+    (example,) = (example for example in examples(README) if "hs.Observation" in example)
+    assert "slow-camera" in example
+    assert output_of(example.replace("slow-camera", name), tmp_path) == "ran to the end\n"
 
 
 def test_the_example_of_campaigns_runs(tmp_path: Path) -> None:
