@@ -98,7 +98,12 @@ void bind_sampled_run(py::module_& m) {
           "position", [](const Seen& s) { return s.pose.position; }, "(3,) in B [m]")
       .def_property_readonly(
           "quaternion", [](const Seen& s) { return s.pose.quaternion; }, "(4,) w x y z")
-      .def_property_readonly("twist", [](const Seen& s) { return s.twist; }, "(6,) in B [m/s; rad/s]");
+      .def_property_readonly(
+          "twist", [](const Seen& s) { return s.twist; }, "(6,) in B [m/s; rad/s]")
+      .def_property_readonly(
+          "leg_lengths", [](const Seen& s) { return s.joints.lengths; }, "(6,) of encoders [m]; NaN: no reading")
+      .def_property_readonly(
+          "leg_rates", [](const Seen& s) { return s.joints.rates; }, "(6,) of encoders [m/s]; NaN: no reading");
 
   py::class_<SampledRun> run(m, "SampledRun", "A run in sampled mode, commanded tick by tick.");
   run.def(py::init<const Settings&>(), py::arg("settings"));

@@ -45,7 +45,8 @@ struct SampledRun::BooksOf final : Books {
                                    seen.image.features.head(2 * request.points),
                                    seen.image.depth.head(request.points),
                                    seen.pose,
-                                   seen.twist};
+                                   seen.twist,
+                                   plant.plant().sense().joints};
     if (!(seen.newest >= 0.0)) observation.exposure = unknown;
     if (!seen.ready()) {
       observation.features.setConstant(unknown);

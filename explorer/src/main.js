@@ -231,7 +231,7 @@ function ending(of, run) {
   if (outcome !== "completed") return ["bad", `Ends early, ${outcome.replaceAll("_", " ")}${detail ? `: ${detail}` : ""}${valueAtStop(of, run)}${beyond && `; before that ${beyond}`}`];
   const band = withUnit(valueOf(of, "metrics.band"), "px");
   if (Number.isNaN(values.settling_time)) return ["warn", `Does not settle: ${withUnit(values.final_error, "px")} from the goal after ${withUnit(time, "s")}${beyond && `, and ${beyond}`}`];
-  return [beyond ? "warn" : "good", `Settles within ${band} at ${withUnit(values.settling_time, "s")}${beyond && `, but ${beyond}`}`];
+  return [beyond ? "warn" : "good", `Settles within ${band} after ${withUnit(values.settling_time, "s")}${beyond && `, but ${beyond}`}`];
 }
 
 /** Whether the reference that is there is that of what is shown: another one may be computed. */

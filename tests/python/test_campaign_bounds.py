@@ -66,7 +66,7 @@ def test_runs_that_end_early_or_lack_a_value_have_no_part_in_the_ends() -> None:
     for size in (1, 4, 50, 200):
         tally = Tally([0, 0])
         for first in range(0, 200, size):
-            tally.add(tally_of(pa.table(columns).slice(first, size), range(first, first + size), requirements, 1.0))
+            tally.add(tally_of(pa.table(columns).slice(first, size), range(first, first + size), requirements, SHORT))
         assert tally.spans == [(math.inf, -math.inf), (kept.min(), kept.max())]
 
 

@@ -46,6 +46,24 @@ def test_of_starts_that_vary_those_within_the_band_are_counted(tmp_path: Path) -
     assert any(each.startswith(f"{inside} of 60 runs ") for each in result.section().sentences)
 
 
+def test_a_run_whose_first_sample_alone_is_outside_is_not_settled_at_its_start(tmp_path: Path) -> None:
+    """All start at 20 px and have a settling time of 0; the narrower half of the bands does not have the start."""
+    bands = {"metrics.band": {"uniform": [19.95, 20.05]}}
+    file = file_of(20.0, vary=bands, metrics=["settling_time"])
+    result = hs.campaign(file, tmp_path / "out", threads=1)
+    table = result.to_dataframe()
+    assert (table["settling_time"] == 0.0).all()
+    inside = int((table["metrics.band"] >= 20.0 + 1e-9).sum())
+    assert 0 < inside < 60
+    assert result.summary["settled_at_start"] == inside
+
+    outside = hs.campaign(file_of(19.95, metrics=["settling_time"]), tmp_path / "outside", threads=1)
+    assert (outside.to_dataframe()["settling_time"] == 0.0).all()
+    assert outside.summary["settled_at_start"] == 0
+    assert outside.section().verdict == "good"
+    assert not any("metrics.band" in each for each in outside.section().sentences)
+
+
 @pytest.mark.parametrize(
     ("keys", "needs"),
     [

@@ -118,7 +118,7 @@ def test_long_runs_keep_a_thinned_error(paper: hs.Scenario) -> None:
 def test_verdicts_say_why(comparison: hs.Comparison) -> None:
     row = comparison.row("hybrid", "paper")
     assert row.settled
-    assert (row.verdict, row.why, row.passed_limits) == ("settled", "within 2 px from 0.353 s on", ())
+    assert (row.verdict, row.why, row.passed_limits) == ("settled", "within 2 px after 0.353 s", ())
     row = comparison.row("hybrid", "paper-gravity")
     assert not row.settled
     assert (row.verdict, row.passed_limits) == ("not settled", ("stroke",))
@@ -326,6 +326,24 @@ def test_csv_has_every_metric_to_the_last_bit(comparison: hs.Comparison) -> None
             assert (written == "") if math.isnan(value) else (float(written) == value)
 
 
+def test_the_table_of_pandas_has_every_metric_and_its_unit(comparison: hs.Comparison) -> None:
+    unsettled, overloaded = comparison.row("hybrid", "paper-gravity"), comparison.row("composite", "paper")
+    refused = replace(unsettled, outcome="refused", detail="of the law", metrics={}, end_time=math.nan)
+    rows = (unsettled, overloaded, refused)
+    table = replace(comparison, rows=rows).to_dataframe()
+    assert table["scenario"].tolist() == ["paper-gravity", "paper", "paper-gravity"]
+    for column in ("law", "outcome", "settled", "why"):
+        assert table[column].tolist() == [getattr(row, column) for row in rows]
+    assert table["limits"].tolist() == ["stroke", "", ""]
+    assert table["settled"].dtype == bool
+    for name, (unit, _) in hs.METRICS.items():
+        expected = [row.metrics.get(name, math.nan) for row in rows]
+        np.testing.assert_array_equal(table[name], expected, err_msg=name)
+        assert table.attrs["units"][name] == unit
+    np.testing.assert_array_equal(table["end_time"], [row.end_time for row in rows])
+    assert table.attrs["units"]["end_time"] == "s"
+
+
 def test_markdown_is_one_table(comparison: hs.Comparison) -> None:
     lines = comparison.to_markdown().splitlines()
     assert len(lines) == 2 + len(comparison.rows)
@@ -395,6 +413,13 @@ def test_units_follow_the_legs(names: list[str], monkeypatch: pytest.MonkeyPatch
             of_legs = mixed and name.startswith("peak_leg")
             assert float(text[name] if of_legs else text[f"{name} [{unit}]"]) == row.metrics[name]
             assert not of_legs or text[f"{name} unit"] == unit
+    table = comparison.to_dataframe()
+    for name in ("peak_leg_force", "peak_leg_excursion", "peak_displacement"):
+        units = [metric_unit(name, row.scenario.robot) for row in comparison.rows]
+        of_legs = mixed and name.startswith("peak_leg")
+        assert table.attrs["units"].get(name) == (None if of_legs else units[0])
+        assert (f"{name} unit" in table) == of_legs
+        assert not of_legs or table[f"{name} unit"].tolist() == units
 
     for width in (30, 10_000):
         monkeypatch.setattr(terminal, "width", lambda width=width: width)
@@ -661,3 +686,17 @@ def test_an_interrupted_comparison_leaves_earlier_results(tmp_path: Path, monkey
         f"Interrupted: 0 of 1 runs were finished; the earlier results in {tmp_path / 'out'} are kept\n"
     )
     assert {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()} == before
+
+
+def test_a_change_that_one_of_several_scenarios_refuses_names_it(tmp_path: Path) -> None:
+    words = "seed: has no effect in continuous mode"
+    mine = tmp_path / "mine.yaml"
+    mine.write_text(hs.load_scenario("paper").updated({"name": "other"}).to_yaml(), encoding="utf-8")
+    for refuses in ("paper", str(mine)):
+        run = invoke("--scenarios", f"composite-30hz,{refuses}", "--laws", "composite", "--set", "seed=3")
+        assert run.exit_code == 2
+        assert f"Error: {refuses}: --set: {words}" in " ".join(run.stderr.split())
+    alone = invoke("--scenarios", "paper", "--set", "seed=3")
+    assert f"Error: --set: {words}" in alone.stderr
+    malformed = invoke("--scenarios", "composite-30hz,paper", "--set", "seed")
+    assert "Error: --set: expected KEY=VALUE" in malformed.stderr

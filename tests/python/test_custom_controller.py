@@ -62,9 +62,14 @@ def test_it_sees_every_tick_and_what_the_sensors_give(sampled: hs.Scenario) -> N
 
 
 def as_function(scenario: hs.Scenario) -> Callable[[hs.Observation], np.ndarray[Any, Any]]:
-    """The packaged controller as a custom one, as README has it."""
+    """The packaged controller as a custom one, of any sensors, as README has it."""
     tick = hs.Controller(scenario, period=scenario.simulation.step)
-    return lambda seen: tick.step(seen.pixels, seen.depth, seen.position, seen.quaternion, seen.twist).wrench
+
+    def step(seen: hs.Observation) -> np.ndarray[Any, Any]:
+        pose = (seen.position, seen.quaternion, seen.twist)
+        return tick.step(seen.pixels, seen.depth, *pose, leg_lengths=seen.leg_lengths, leg_rates=seen.leg_rates).wrench
+
+    return step
 
 
 @pytest.mark.parametrize("wrong", [[0.0, 0.0], [3.0, -2.0]])
@@ -76,6 +81,72 @@ def test_the_packaged_controller_as_a_function_is_the_law_itself(sampled: hs.Sce
     np.testing.assert_allclose(own.wrench, core.wrench, rtol=0, atol=1e-11)
     assert hs.metrics(own) == pytest.approx(hs.metrics(core), rel=1e-9, nan_ok=True)
     assert core.controller == "hybrid"
+
+
+# ---- Encoders -------------------------------------------------------------------------------------------------------
+
+REAL = {"simulation.duration": 0.6, "simulation.log_every": 1, "metrics.rms_start": 0.5}
+
+
+@pytest.mark.parametrize("keys", [{}, {"sensors.period": 0.004}, {"sensors.rate": "true"}])
+def test_the_packaged_controller_as_a_function_is_the_law_with_encoders_too(keys: dict[str, Any]) -> None:
+    scenario = hs.load_scenario("real-machine").updated({**REAL, **keys})
+    own, core = hs.simulate(scenario, controller=as_function(scenario)), hs.simulate(scenario)
+    assert own.outcome == "completed"
+    np.testing.assert_allclose(own.feature_error, core.feature_error, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(own.wrench, core.wrench, rtol=0, atol=1e-8)
+
+
+def observed(scenario: hs.Scenario) -> tuple[hs.Result, np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+    """A run that holds the platform, and the lengths and rates of the legs as the controller sees them, (n, 6)."""
+    seen: list[hs.Observation] = []
+
+    def hold(observation: hs.Observation) -> np.ndarray[Any, Any]:
+        seen.append(observation)
+        return np.asarray(GRAVITY)
+
+    result = hs.simulate(scenario, controller=hold)
+    return result, np.array([one.leg_lengths for one in seen]), np.array([one.leg_rates for one in seen])
+
+
+def test_it_sees_the_legs_as_encoders_read_them() -> None:
+    """The true lengths within half a step of the encoders at every fourth tick, nothing between, and true rates."""
+    changes = {"sensors": {"pose": "encoders", "period": 0.004, "resolution": 1e-5, "noise": 0.0, "rate": "true"}}
+    scenario = hs.load_scenario("real-machine").updated({**REAL, **changes, "simulation.duration": 0.1})
+    scenario = scenario.updated({"metrics.rms_start": 0.0})
+    result, lengths, rates = observed(scenario)
+    read = np.arange(len(lengths)) % 4 == 0
+    assert np.isnan(lengths[~read]).all()
+    assert np.isnan(rates[~read]).all()
+    np.testing.assert_allclose(lengths[read], 1e-5 * np.round(lengths[read] / 1e-5), rtol=0, atol=1e-12)
+    assert 1e-6 < np.abs(lengths[read] - result.leg_lengths[read]).max() <= 0.5e-5 + 1e-12
+    step = scenario.simulation.step
+    middle = np.arange(4, len(rates) - 1, 4)
+    mean = (result.leg_lengths[middle + 1] - result.leg_lengths[middle - 1]) / (2 * step)
+    jerk = np.abs(np.diff(result.leg_lengths, 3, axis=0)).max() / step  # of a central difference, times six
+    np.testing.assert_allclose(rates[middle], mean, rtol=0, atol=jerk)
+    assert np.abs(mean).max() > 100 * jerk
+
+
+def test_without_encoders_there_are_no_readings_of_legs(sampled: hs.Scenario) -> None:
+    _, lengths, rates = observed(sampled.updated({"simulation.duration": 0.01}))
+    assert lengths.shape == rates.shape == (11, 6)
+    assert np.isnan(lengths).all()
+    assert np.isnan(rates).all()
+
+
+def test_a_pose_in_place_of_readings_is_refused_with_encoders(sampled: hs.Scenario) -> None:
+    """It would have no effect, and no law would ever act; without encoders it is what the tick needs."""
+    pose = (np.zeros(3), [1.0, 0.0, 0.0, 0.0], np.zeros(6))
+    tick = hs.Controller(hs.load_scenario("real-machine"))
+    refusal = r"^leg_lengths: expected 6 lengths, since sensors\.pose is encoders .* got None, and "
+    with pytest.raises(ValueError, match=f"{refusal}position, quaternion, twist in their place"):
+        tick.step(None, None, *pose)
+    with pytest.raises(ValueError, match=f"{refusal}twist in their place"):
+        tick.step(twist=np.zeros(6))
+    tick.step()  # a tick without a reading
+    assert tick.step(None, None, *pose, leg_lengths=np.full(6, np.nan)).status == "unusable"
+    assert hs.Controller(sampled).step(None, None, *pose).status == "missing_image"
 
 
 def test_leg_forces_give_the_wrench_of_the_legs(sampled: hs.Scenario) -> None:

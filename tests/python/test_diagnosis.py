@@ -594,7 +594,7 @@ def test_a_run_that_is_not_settled_has_failed_whatever_its_samples() -> None:
 def test_a_run_fails_that_the_metrics_call_not_settled(
     band: float, dwell: float, duration: float, settled: bool
 ) -> None:
-    """Within 2 px from 0.353 s on, never within 0.01 px, and always within 40 px: then however short the run is."""
+    """Within 2 px after 0.353 s, never within 0.01 px, and always within 40 px: then however short the run is."""
     scenario = hs.load_scenario("paper").updated(
         {"metrics.band": band, "metrics.dwell": dwell, "simulation.duration": duration}
     )

@@ -54,7 +54,7 @@ def test_a_run_that_is_only_too_short_is_called_so_where_no_cause_is_named() -> 
     first, *others = unnamed.section().sentences
     assert unnamed.too_short is not None
     assert first.startswith("The run is too short: it has up to ")
-    assert f"with simulation.duration={unnamed.too_short:g} and no other change it is settled from t = " in first
+    assert f"with simulation.duration={unnamed.too_short:g} and no other change it is settled after t = " in first
     assert unnamed.cures == ({DURATION: unnamed.too_short},)
     assert not [words for words in others if "too short" in words]
 

@@ -61,7 +61,7 @@ def returned(paper: hs.Scenario, tmp_path_factory: pytest.TempPathFactory) -> di
         "BatchCertificate": hs.certify_batch(short, VARIED),
         "Diagnosis": hs.diagnose(hs.simulate(hs.load_scenario("fails-late-camera"))),
         "Diagnosis of a run that passes": hs.diagnose(hs.simulate(paper)),
-        "Observation": hs.Observation(0, 0.0, math.nan, *(np.full(n, math.nan) for n in (8, 4, 3, 4, 6, 8))),
+        "Observation": hs.Observation(0, 0.0, math.nan, *(np.full(n, math.nan) for n in (8, 4, 3, 4, 6, 6, 6, 8))),
         "LegForces": hs.LegForces(np.ones(6)),
         "ControllerOutput": tick.step(np.zeros(8), -0.5 * np.ones(4), [0, 0, -0.1], [1, 0, 0, 0], np.zeros(6)),
         "Reachability": hs.reachable(paper, [0.0] * 6),

@@ -140,13 +140,23 @@ def test_the_examples_of_comparisons_run(tmp_path: Path) -> None:
     (of_readme,) = (example for example in examples(README) if "hs.compare(" in example)
     (of_page,) = (example for example in examples(ROOT / "docs" / "compare.md") if "comparison.png" in example)
     lines = output_of(of_readme, tmp_path).splitlines()
-    assert lines[0] == "paper hybrid settled - within 2 px from 0.353 s on"
+    assert lines[0] == "paper hybrid settled - within 2 px after 0.353 s"
     assert len(lines) == 6
     assert (tmp_path / "out" / "comparison" / "comparison.svg").stat().st_size > 0
-    *table, _, last = output_of(of_page, tmp_path).splitlines()
+    *table, _, verdict, head, _, first, second = output_of(of_page, tmp_path).splitlines()
     assert len(table) == 6
-    assert last.startswith("settled within 2 px from 0.552 s on ")
+    assert verdict.startswith("settled within 2 px after 0.552 s ")
+    assert head.split() == ["law", "composite", "hybrid"]  # of pandas
+    assert (first.split()[0], second.split()[::2]) == ("paper", ["paper-gravity", "NaN"])
     assert (tmp_path / "comparison.png").stat().st_size > 0
+
+
+@pytest.mark.parametrize("name", ["slow-camera", "real-machine"])
+def test_the_example_of_a_custom_controller_runs_with_and_without_encoders(name: str, tmp_path: Path) -> None:
+    """On real-machine every tick was unusable without the lengths of the legs, and the run diverged."""
+    (example,) = (example for example in examples(README) if "hs.Observation" in example)
+    assert "slow-camera" in example
+    assert output_of(example.replace("slow-camera", name), tmp_path) == "ran to the end\n"
 
 
 def test_the_example_of_campaigns_runs(tmp_path: Path) -> None:

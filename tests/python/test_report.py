@@ -151,7 +151,7 @@ def test_the_order_and_the_words(text: str) -> None:
     words = words_of(text)
     for part in (
         "The run completed: 5 s in continuous mode, controlled by the law hybrid.",
-        "All features are within 2 px of their goals from 0.353 s on.",
+        "All features are within 2 px of their goals after 0.353 s.",
         "The largest feature error at the end is 0.07972 px; from 1 s on their RMS is 0.05187 px.",
         "At the end the platform is 18.2 mm and 36.3 mrad from the pose with the goal image; in the image the two "
         "nearly cancel.",

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
 import hexservo as hs
+from hexservo.run.metrics import since_settling
 from hexservo.run.summary import summary_sentences
 
 BAND = 2.0  # default, docs/model.md section 8
@@ -74,20 +77,20 @@ def test_a_run_within_the_band_from_its_start_on_is_settled_however_short(paper:
     assert hs.metrics(hs.simulate(scenario))["settling_time"] == 0.0
     (row,) = hs.compare([scenario], ["hybrid"]).rows
     assert row.settled
-    assert row.why == "within 2 px from 0 s on"
+    assert row.why == "within 2 px from the start on"
 
 
 def test_report_and_comparison_say_the_band_and_the_start_of_the_scenario(paper: hs.Scenario) -> None:
     scenario = paper.updated({"metrics": {"band": 5.0, "rms_start": 2.5}})
     result = hs.simulate(scenario)
     text = " ".join(summary_sentences(result))
-    assert "within 5 px of their goals from" in text
+    assert "within 5 px of their goals after" in text
     assert "from 2.5 s on their RMS is" in text
     error = np.abs(result.feature_error)
     expected = np.sqrt(np.mean(error[result.time >= 2.5 - 1e-9] ** 2))
     assert hs.metrics(result)["rms_error"] == pytest.approx(expected, rel=1e-9)
     (row,) = hs.compare([scenario], ["hybrid"]).rows
-    assert row.why.startswith("within 5 px from ")
+    assert row.why.startswith("within 5 px after ")
     assert hs.metrics(result)["settling_time"] < hs.metrics(hs.simulate(paper))["settling_time"]
 
 
@@ -110,3 +113,59 @@ def test_a_run_that_is_not_longer_than_the_start_of_the_rms_has_none(paper: hs.S
     assert result.outcome == "completed"
     assert np.isnan(hs.metrics(result)["rms_error"])
     assert "RMS" not in " ".join(summary_sentences(result))
+
+
+# ---- The sentences hold ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["paper", "pi-h824-positions", "moog-6dof2000e"])
+def test_the_time_in_sentences_is_the_last_one_outside(name: str) -> None:
+    """All samples after it are within the band, and it is not a time within."""
+    result = hs.simulate(hs.load_scenario(name).updated({"simulation.log_every": 1}))
+    outside = result.time[np.abs(result.feature_error).max(axis=1) > result.scenario.metrics.band]
+    (row,) = hs.compare([result.scenario], [result.scenario.controller.law]).rows
+    title = hs.plots.feature_errors(result).axes[0].get_title(loc="left")
+    for text in (" ".join(summary_sentences(result)), row.why, title):
+        (time,) = re.findall(r"ithin ±?[\d.]+ px(?: of their goals| \(shaded\))? after ([\d.]+) s", text)
+        assert float(time) == pytest.approx(outside[-1], abs=0.01)  # the title has three digits
+        assert float(time) >= outside[-1] - 1e-9
+
+
+@pytest.mark.parametrize(
+    ("time", "text"), [(0.55, "0.55"), (0.353, "0.353"), (0.1 + 0.2, "0.3"), (12.341, "12.35"), (100.02, "100.1")]
+)
+def test_a_time_with_fewer_digits_is_rounded_up(paper: hs.Scenario, time: float, text: str) -> None:
+    """No sample after the time that is written is outside."""
+    assert since_settling({"settling_time": time, "peak_error": 9.0}, paper.metrics) == f"after {text} s"
+    assert float(text) >= time - 1e-12
+
+
+def test_a_first_sample_outside_is_no_stay_from_the_start_on(paper: hs.Scenario) -> None:
+    """Both runs have a settling time of 0: one starts at 20 px, outside of its band, and one within."""
+    for band, words, summary in (
+        (19.95, "after the first sample", "are within 19.95 px of their goals after the first sample."),
+        (20.05, "from the start on", "stayed within 20.05 px from the start."),
+    ):
+        result = hs.simulate(paper.updated({"metrics.band": band}))
+        error = np.abs(result.feature_error).max(axis=1)
+        assert hs.metrics(result)["settling_time"] == 0.0
+        assert (error > band).sum() == (band < 20.0)
+        assert f"All features {summary}" in summary_sentences(result)
+        (row,) = hs.compare([result.scenario], ["hybrid"]).rows
+        assert (row.verdict, row.why) == ("settled", f"within {band:g} px {words}")
+
+
+def test_a_run_that_ends_early_states_after_when_it_was_within() -> None:
+    """The law settles; then a single push takes the platform away within a step."""
+    scenario = hs.load_scenario("slow-camera").updated({"simulation.log_every": 1})
+    tick = hs.Controller(scenario)
+
+    def settles_then_pushes(seen: hs.Observation) -> list[float] | np.ndarray:
+        wrench = tick.step(seen.pixels, seen.depth, seen.position, seen.quaternion, seen.twist).wrench
+        return wrench if seen.time < 1.5 else [0.0, 0.0, 1e9, 0.0, 0.0, 0.0]
+
+    result = hs.simulate(scenario, controller=settles_then_pushes)
+    outside = result.time[np.abs(result.feature_error).max(axis=1) > BAND]
+    assert result.outcome != "completed"
+    words = f"Until then the features had been within 2 px after {outside[-1]:.4g} s."
+    assert words in summary_sentences(result)

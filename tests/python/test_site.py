@@ -304,7 +304,7 @@ def test_a_page_of_another_version_is_not_part_of_the_site(tmp_path: Path, monke
 def test_gallery_draws_a_scenario_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(hs, "scenario_names", lambda: ("paper",))
     (first,) = gallery(tmp_path)
-    assert (first.name, first.verdict, first.why) == ("paper", "settled", "within 2 px from 0.353 s on")
+    assert (first.name, first.verdict, first.why) == ("paper", "settled", "within 2 px after 0.353 s")
     picture = tmp_path / "paper.svg"
     picture.write_text("kept")
     assert gallery(tmp_path) == [Shown(**dataclasses.asdict(first))]

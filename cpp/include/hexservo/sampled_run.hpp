@@ -20,6 +20,7 @@ struct SampledObservation {
   OfPoints<double, kAnyPoints> depth;        ///< Z-hat, negative in front of the camera; NaN likewise [m]
   Pose<double> pose;                         ///< from the joint sensors, in B
   Vector6<double> twist;                     ///< from the joint sensors, in B [m/s; rad/s]
+  LegReading<double> joints;                 ///< what encoders gave at this tick; NaN where there is no reading
 };
 
 /// Plant, sensors and actuators of a scenario, with its log; the scenario's own law does not act.

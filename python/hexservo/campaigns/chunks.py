@@ -16,9 +16,11 @@ from numpy.typing import NDArray
 from hexservo.campaigns.refused import FEW_DRAWS, MOST_REFUSED
 from hexservo.campaigns.requirements import COMPLETED, Requirement, ranks_of, run_margins
 from hexservo.run.batch import BatchResult
+from hexservo.run.metrics import stayed_within
 from hexservo.run.sealed import ResultError
 from hexservo.run.variations import columns_of
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -136,7 +138,7 @@ def _mostly(before: int, refused_at: Sequence[int]) -> tuple[int, int] | None:
     return None
 
 
-def tally_of(table: pa.Table, drawn: range, requirements: Sequence[Requirement], duration: float) -> Tally:
+def tally_of(table: pa.Table, drawn: range, requirements: Sequence[Requirement], scenario: Scenario) -> Tally:
     """Count the runs of a chunk.
 
     Parameters
@@ -147,18 +149,22 @@ def tally_of(table: pa.Table, drawn: range, requirements: Sequence[Requirement],
         Indices of all that were drawn: those that the table lacks are no valid scenarios.
     requirements
         That they are to keep.
-    duration
-        Of the scenario [s], where it does not vary.
+    scenario
+        Its duration and its band, where they do not vary.
     """
     columns = {name: _column(table, name) for name in ("index", "end_time")}
     outcome = np.array(table.column("outcome").to_pylist(), dtype=np.str_)
     metrics = {one.name: _column(table, one.name) for one in requirements if one.name != "outcome"}
-    times = _column(table, "simulation.duration") if "simulation.duration" in table.column_names else duration
+    times = _column_or(table, "simulation.duration", scenario.simulation.duration)
     margins = run_margins(requirements, outcome, columns["end_time"], times, metrics)
     failed = margins < 0
     completed = outcome == COMPLETED
     valueless = {name: int((np.isnan(values) & completed).sum()) for name, values in metrics.items()}
-    settled = _column(table, "settling_time") if "settling_time" in table.column_names else np.array(np.nan)
+    unmoved = stayed_within(
+        _column_or(table, "settling_time", np.nan),
+        _column_or(table, "peak_error", np.nan),
+        _column_or(table, "metrics.band", scenario.metrics.band),
+    )
     ranks = ranks_of(margins)
     refused = np.setdiff1d(np.arange(drawn.start, drawn.stop), columns["index"])
     worst = np.lexsort((ranks[:, 1], ranks[:, 0]))[:_WORST]
@@ -166,7 +172,7 @@ def tally_of(table: pa.Table, drawn: range, requirements: Sequence[Requirement],
         failed=[int(count) for count in failed.sum(axis=0)],
         runs=len(outcome),
         failures=int(failed.any(axis=1).sum()),
-        unmoved=int((completed & (settled == 0.0)).sum()),
+        unmoved=int((completed & unmoved).sum()),
         refused=len(refused),
         first_refused=int(refused[0]) if len(refused) else None,
         refused_at=refused.tolist(),
@@ -181,6 +187,10 @@ def _span_of(values: Array) -> tuple[float, float]:
     """Return the smallest and the largest value of a metric in runs that completed, (n,), without those of none."""
     found = np.clip(values[~np.isnan(values)], -_LARGEST, _LARGEST)
     return (float(found.min()), float(found.max())) if len(found) else _NO_SPAN
+
+
+def _column_or(table: pa.Table, name: str, otherwise: float) -> Array | NDArray[Any]:
+    return _column(table, name) if name in table.column_names else np.full(len(table), otherwise)
 
 
 def _column(table: pa.Table, name: str) -> Array | NDArray[Any]:

@@ -150,7 +150,11 @@ class CampaignPlan(Block):
 
     def kept_metrics(self) -> tuple[str, ...]:
         """Return the metrics that it keeps of each run."""
-        return asked_metrics("all" if self.metrics == "all" else (*self.metrics, *self.required_metrics()))
+        if self.metrics == "all":
+            return asked_metrics("all")
+        kept = {*self.metrics, *self.required_metrics()}
+        # a settling time of 0 has two meanings without it
+        return asked_metrics(tuple(kept | {"peak_error"} if "settling_time" in kept else kept))
 
     def drawing(self) -> Drawing:
         """Return what draws the variations of its runs."""

@@ -132,9 +132,7 @@ class Store:
 
     def tally(self, index: int, table: pa.Table) -> Tally:
         """Return the counts of a chunk."""
-        return tally_of(
-            table, range(*self.plan.runs_of_chunk(index)), self.plan.require, self.plan.scenario.simulation.duration
-        )
+        return tally_of(table, range(*self.plan.runs_of_chunk(index)), self.plan.require, self.plan.scenario)
 
     # ---- Writing ----------------------------------------------------------------------------------------------------
 

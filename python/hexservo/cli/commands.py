@@ -169,7 +169,7 @@ def compare(
 
         names, chosen_laws = expanded(scenarios), None if laws == _ALL else split(laws)
         try:
-            chosen = [load(name, settings or [], camera) for name in names]
+            chosen = [load(name, settings or [], camera, one_of_several=len(names) > 1) for name in names]
             if out is not None:
                 check_folder(out, force=force)
             started = time.perf_counter()

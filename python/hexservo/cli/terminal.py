@@ -80,10 +80,10 @@ SettingsOption = Annotated[
 ]
 
 
-def load(scenario: str, settings: list[str], camera: str | None = None) -> hs.Scenario:
+def load(scenario: str, settings: list[str], camera: str | None = None, *, one_of_several: bool = False) -> hs.Scenario:
     """Load a scenario with the changes of --camera and --set in its file; all errors of them are reported together.
 
-    A key that both change is that of --set.
+    A key that both change is that of --set. Of a scenario that is one of several, errors name it.
     """
     return load_as_written(scenario, settings, camera)[0]
 
@@ -96,7 +96,7 @@ def load_as_written(
 
     document = _read_standard_input() if scenario == "-" else read_document(scenario)
     changes, problems = _changes_of(settings)
-    options = ["--set"] if settings else []
+    options, of_scenario = ["--set"] if settings else [], ""
     if camera is not None:
         changes = {**_calibrated(camera, document, changes), **changes}
         options.insert(0, "--camera")
@@ -106,8 +106,9 @@ def load_as_written(
         if error.source is not None:  # of the file, whatever is changed in it
             raise
         problems += error.problems
+        of_scenario = f"{document.source}: " if one_of_several else ""
     if problems:
-        raise hs.ScenarioError(problems, " and ".join(options))
+        raise hs.ScenarioError(problems, of_scenario + " and ".join(options))
     if camera is not None:
         _warn_of_border(camera, document, loaded)
     return loaded, _read_into_others(document, changes, loaded)

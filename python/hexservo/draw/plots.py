@@ -58,7 +58,7 @@ from hexservo.draw.style import (
 from hexservo.draw.wrench import control_wrench
 from hexservo.run.labels import farther_apart, roomiest_place
 from hexservo.run.leg_limits import exceeded_limits, limits_of_motion
-from hexservo.run.metrics import metrics
+from hexservo.run.metrics import metrics, since_settling
 from hexservo.run.result import Result, require_run
 from hexservo.run.samples import ImageView, feature_names, fuzzy_acted, image_views, initial_direction, path_samples
 from hexservo.run.samples import parts as _parts
@@ -213,8 +213,8 @@ def feature_errors(result: Result, *, ax: Axes | None = None) -> Figure | Axes:
         titles = [f"Feature errors (shaded: ±{band:g} px)"]
     else:
         boxes = [(0.68, 2.75), (4.2, 2.59)]
-        settled = metrics(result)["settling_time"]
-        titles = [f"Within ±{band:g} px (shaded) from {settled:.3g} s on", "The rest, magnified"]
+        settled = since_settling(metrics(result), result.scenario.metrics, 3)
+        titles = [f"Within ±{band:g} px (shaded) {settled}", "The rest, magnified"]
     for part, (left, width), title in zip(parts, boxes, titles, strict=True):
         axes = axes_at(figure, left, 0.48, width, 1.72)
         draw_band(axes, band)

@@ -9,7 +9,7 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from hexservo.run.display import comparison_text
 from hexservo.run.drawn import figure_of, html_of, image_of
 from hexservo.run.files import write_folder
 from hexservo.run.leg_limits import exceeded_limits
-from hexservo.run.metrics import METRICS, metric_unit, readable_unit, shown_number, unsettled
+from hexservo.run.metrics import METRICS, metric_unit, readable_unit, shown_number, since_settling, unsettled
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.default_gains import is_far, platform_of_defaults, taken_over
 from hexservo.scenario.fields import described
@@ -26,6 +26,7 @@ from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number
 
 if TYPE_CHECKING:
+    import pandas
     from matplotlib.figure import Figure
 
 
@@ -73,7 +74,7 @@ class ComparisonRow:
         if self.outcome != "completed":
             sentence = self.detail
         elif self.settled:
-            sentence = f"within {measured.band:g} px from {self.metrics['settling_time']:.4g} s on"
+            sentence = f"within {measured.band:g} px {since_settling(self.metrics, measured)}"
         else:
             sentence = unsettled(self.metrics, measured)
         exceeded = exceeded_limits(self.scenario, self.metrics)
@@ -208,7 +209,7 @@ class Comparison:
         """
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
-        units = {name: sorted({metric_unit(name, each.robot) for each in self.scenarios}) for name in METRICS}
+        units = self._units()
         heads = [
             head
             for name, known in units.items()
@@ -233,6 +234,41 @@ class Comparison:
                 ]
             )
         return text.getvalue()
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return the comparison as a flat table: a row for each pair of scenario and law, in the order of `rows`.
+
+        Columns: ``scenario`` and ``law`` by name; ``outcome``, ``settled`` (bool), ``end_time``; metrics by their names
+        in `hs.METRICS`, NaN where a number has no meaning; ``limits``, those that legs exceeded, as in
+        `ComparisonRow.passed_limits` with spaces between; ``why``. ``attrs["units"]`` maps times and metrics to their
+        units. Where the scenarios have both legs that change their length and cranks, a column such as
+        ``peak_leg_force unit`` has those of each metric of the legs instead.
+        """
+        import pandas as pd
+
+        columns: dict[str, Any] = {
+            "scenario": [row.scenario.name for row in self.rows],
+            "law": [row.law for row in self.rows],
+            "outcome": [row.outcome for row in self.rows],
+            "settled": [row.settled for row in self.rows],
+            "end_time": [row.end_time for row in self.rows],
+        }
+        units = {"end_time": "s"}
+        for name, known in self._units().items():
+            columns[name] = [row.metrics.get(name, math.nan) for row in self.rows]
+            if len(known) == 1:
+                units[name] = known[0]
+            else:
+                columns[f"{name} unit"] = [metric_unit(name, row.scenario.robot) for row in self.rows]
+        columns["limits"] = [" ".join(row.passed_limits) for row in self.rows]
+        columns["why"] = [row.why for row in self.rows]
+        table = pd.DataFrame(columns)
+        table.attrs = {"units": units}
+        return table
+
+    def _units(self) -> dict[str, list[str]]:
+        """Return the units that each metric has, by name: two where legs of variable length and cranks are compared."""
+        return {name: sorted({metric_unit(name, each.robot) for each in self.scenarios}) for name in METRICS}
 
     def figure(self) -> Figure:
         """Draw errors over time, settling times, residuals and efforts."""

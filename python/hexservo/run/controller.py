@@ -95,7 +95,9 @@ class Controller:
     def __init__(self, scenario: Scenario, period: float | None = None) -> None:
         require_scenario(scenario)
         self._scenario = scenario
-        self._core = _core.Controller(*controller_arguments(scenario, period))
+        settings, seconds = controller_arguments(scenario, period)
+        self._core = _core.Controller(settings, seconds)
+        self._reads_legs = _reads_legs(settings)
         self._clock = _START
 
     def __getstate__(self) -> dict[str, Any]:
@@ -176,8 +178,8 @@ class Controller:
         now
             Time of the tick [s]; never less than before. None: a period after the last tick, the first one at 0.
         leg_lengths
-            (6,), where ``sensors.pose`` is ``encoders`` [m]. None: no reading at this tick, and the last one holds, for
-            twice ``sensors.period`` at most.
+            (6,), where ``sensors.pose`` is ``encoders`` [m]. NaN, or None without a pose: no reading at this tick, and
+            the last one holds, for twice ``sensors.period`` at most.
         leg_rates
             (6,), where ``sensors.rate`` is true [m/s].
 
@@ -186,9 +188,12 @@ class Controller:
         TypeError
             For times that are no numbers.
         ValueError
-            "name: expected 8 numbers, got ..." for an argument of another shape or of no numbers, such as booleans.
+            "name: expected 8 numbers, got ..." for an argument of another shape or of no numbers, such as booleans. For
+            a pose or twist without `leg_lengths` where ``sensors.pose`` is ``encoders``.
         """
         _refuse_booleans(features, depth, position, quaternion, twist, leg_lengths, leg_rates)
+        if self._reads_legs and leg_lengths is None:
+            _refuse_pose(position=position, quaternion=quaternion, twist=twist)
         given, periods = self._clock if now is None else (_seconds("now", now), 0)
         time = given + periods * self.period
         exposed = np.nan if features is None else time if exposure is None else _seconds("exposure", exposure)
@@ -268,6 +273,21 @@ def tick_keys(settings: Settings) -> Iterator[_core.ScenarioKey]:
 
 def _takes_positions(settings: Settings) -> bool:
     return bool(settings["simulation.mode"] == SAMPLED_MODE and settings["actuators.kind"] != "force")
+
+
+def _reads_legs(settings: Settings) -> bool:
+    return bool(settings["simulation.mode"] == SAMPLED_MODE and settings["sensors.pose"] == "encoders")
+
+
+def _refuse_pose(**given: ArrayLike | None) -> None:
+    """Refuse a pose in place of the readings of encoders: it has no effect, and the law would never act."""
+    names = [name for name, values in given.items() if values is not None]
+    if names:
+        raise ValueError(
+            "leg_lengths: expected 6 lengths, since sensors.pose is encoders in the scenario, got None, and "
+            f"{', '.join(names)} in their place, which would have no effect; add leg_lengths, such as "
+            "Observation.leg_lengths of a custom controller, NaN at a tick without a reading"
+        )
 
 
 def _refuse_booleans(*given: ArrayLike | None) -> None:

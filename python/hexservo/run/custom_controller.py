@@ -44,6 +44,11 @@ class Observation(NamedTuple):
     """(4,), attitude of E in B, (w, x, y, z), by the joint sensors."""
     twist: Array
     """(6,), (velocity; angular velocity) in B, by the joint sensors [m/s; rad/s]."""
+    leg_lengths: Array
+    """(6,), as the encoders read them at this tick, where ``sensors.pose`` is ``encoders`` [m]; NaN at a tick without a
+    reading, and without encoders."""
+    leg_rates: Array
+    """(6,), by the rate sensors beside the encoders, where ``sensors.rate`` is true [m/s]; NaN as `leg_lengths`."""
     pixels: Array
     """(2p,), `features` as `Controller.step` takes them: in pixels of the camera that the controller assumes, by
     ``camera.principal_point``, ``axes`` and ``distortion`` [px]; NaN as the features, and where the lens shows no such

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from hexservo.scenario.leg_units import unit_of
 from hexservo.scenario.rules import did_you_mean
-from hexservo.scenario.wording import apart, number, several_names, shown_unit, wrong_type
+from hexservo.scenario.wording import above, apart, number, several_names, shown_unit, wrong_type
 
 if TYPE_CHECKING:
     from hexservo.run.result import Result
@@ -107,6 +107,33 @@ def metrics(result: Result) -> dict[str, float]:
     if not hasattr(result, "streamed_metrics"):  # whose module imports this one
         raise wrong_type("result", "a Result (see hs.simulate)", result)
     return dict(result.streamed_metrics)
+
+
+def stayed_within(settling_time: Any, peak_error: Any, band: Any) -> Any:
+    """Return whether no sample of a run left the settling band, of numbers or arrays of runs.
+
+    A settling time of 0 alone has two meanings: of a run whose first sample is its only one outside it is 0 too.
+
+    Parameters
+    ----------
+    settling_time, peak_error
+        Metrics of the run [s], [px].
+    band
+        Its ``metrics.band`` [px].
+    """
+    return (settling_time == 0.0) & (peak_error <= band)
+
+
+def since_settling(values: Mapping[str, float], measured: Metrics, digits: int = 4) -> str:
+    """Return from when on a settled run is within the band: "after 0.353 s", rounded up.
+
+    The settling time is the last time outside, so that it is not yet one within. Arguments as for `unsettled`.
+    """
+    settled = values["settling_time"]
+    if settled > 0:
+        return f"after {above(float(f'{settled:.12g}'), digits)} s"  # a grid time without its rounding
+    within = stayed_within(settled, values["peak_error"], measured.band)
+    return "from the start on" if within else "after the first sample"
 
 
 def unsettled(values: Mapping[str, float], measured: Metrics) -> str:

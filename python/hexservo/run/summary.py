@@ -9,7 +9,7 @@ import numpy as np
 from hexservo.run.goal_distance import goal_distance
 from hexservo.run.leg_limits import leg_limits
 from hexservo.run.leg_motion import singular_passage
-from hexservo.run.metrics import left_and_band, metrics, shown_number, unsettled
+from hexservo.run.metrics import left_and_band, metrics, shown_number, since_settling, stayed_within, unsettled
 from hexservo.run.unseen_points import edge_on_sentence, unseen_sentence
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.pixels import points_outside
@@ -93,10 +93,10 @@ def _settling(result: Result) -> str:
     if settled != settled:
         return f"The features did not settle: {unsettled(values, measured)}."
     if result.outcome != "completed":
-        return f"Until then the features had been within {measured.band:g} px since {settled:.4g} s."
-    if settled == 0:
+        return f"Until then the features had been within {measured.band:g} px {since_settling(values, measured)}."
+    if stayed_within(settled, values["peak_error"], measured.band):
         return f"All features stayed within {measured.band:g} px from the start."
-    return f"All features are within {measured.band:g} px of their goals from {settled:.4g} s on."
+    return f"All features are within {measured.band:g} px of their goals {since_settling(values, measured)}."
 
 
 def _residual(result: Result) -> str:

@@ -25,7 +25,7 @@ def above(value: float, digits: int = 3) -> str:
 
 
 def _rounded(value: float, digits: int, direction: str) -> str:
-    return number(float(decimal.Context(digits, direction).create_decimal_from_float(value)), digits)
+    return number(float(decimal.Context(digits, direction).create_decimal(repr(float(value)))), digits)
 
 
 _MOST_DIGITS = 8  # that two numbers are given to differ

@@ -12,7 +12,7 @@ from hexservo.findings.diagnosis.words import ends, how, joined, remedy_sentence
 from hexservo.findings.evidence import Column, Curves, Line, Section, Table
 from hexservo.scenario.blocks import Robot
 from hexservo.scenario.leg_units import leg_units
-from hexservo.scenario.wording import first_of, number
+from hexservo.scenario.wording import above, first_of, number
 
 _PAGE = "docs/diagnosis/ranking.md"
 _TITLES = {cause.key: cause.title for cause in CAUSES}
@@ -92,7 +92,7 @@ def _verdict(found: Diagnosis) -> str:
     if later is not None:
         return (
             f"The run is too short: it {was}; with simulation.duration={found.too_short:g} and no other change it is "
-            f"settled from t = {number(later.settling_time)} s on. No other cause that was tried explains it."
+            f"settled after t = {above(later.settling_time)} s. No other cause that was tried explains it."
         )
     words = f"Not explained: it {was}, and none of the {len(found.causes)} causes that were tried explains it."
     if first is not None and first.without is not None and first.cure:
@@ -175,7 +175,7 @@ def _sureness(found: Diagnosis) -> list[str]:
             if found.too_short is None:
                 words.append(
                     f"It is also too short for that: with simulation.duration={later.changes['simulation.duration']:g} "
-                    f"and no other change it is settled from t = {number(later.settling_time)} s on."
+                    f"and no other change it is settled after t = {above(later.settling_time)} s."
                 )
         helpers = [(f.alone, f.without.words) for f in others if f.without and f.without.works]
         for alone, meaning in _NOT_NAMED.items():
