@@ -85,11 +85,11 @@ def load(scenario: str, settings: list[str], camera: str | None = None, *, one_o
 
     A key that both change is that of --set. Of a scenario that is one of several, errors name it.
     """
-    return load_as_written(scenario, settings, camera)[0]
+    return load_as_written(scenario, settings, camera, one_of_several=one_of_several)[0]
 
 
 def load_as_written(
-    scenario: str, settings: list[str], camera: str | None = None
+    scenario: str, settings: list[str], camera: str | None = None, *, one_of_several: bool = False
 ) -> tuple[hs.Scenario, dict[str, object]]:
     """Load a scenario as `load`, and return tag, grid and goal pose that were read into its points and features."""
     from hexservo.scenario.scenario import read_document
