@@ -256,8 +256,8 @@ def _cleaned(
             break
         late, target, jitter = fit[0].value, fit[1]["target"], fit[1]["jitter"]
         left = sight.left(late, target)
-        seen = sight.seen[:, ::2]
-        found = None if left is None else outliers_of(left, sight.speed(late, target, jitter or log.period), seen)
+        points = sight.seen[:, ::2]
+        found = None if left is None else outliers_of(left, sight.speed(late, target, jitter or log.period), points)
         frames, now = found if isinstance(found, tuple) else (np.zeros_like(left_out), found)
         if (frames == left_out).all():
             seen = now

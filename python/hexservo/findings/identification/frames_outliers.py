@@ -144,7 +144,8 @@ def _sum_of_nearer(squared: Array, seen: Mask) -> Array:
     """Return the sum of the smaller half of the numbers (..., p) of points that are seen (m, p), the middle one too."""
     points = seen.sum(axis=-1)
     ordered = np.sort(np.where(seen, squared, np.inf), axis=-1)
-    return np.where(np.arange(seen.shape[-1]) < (points - points // 2)[..., None], ordered, 0.0).sum(axis=-1)
+    nearer = np.arange(seen.shape[-1]) < (points - points // 2)[..., None]
+    return np.asarray(np.where(nearer, ordered, 0.0).sum(axis=-1))
 
 
 def _distances(residuals: Array) -> Array:

@@ -41,7 +41,7 @@ class PredictedImages:
         inside = (times - margin >= log.time[0]) & (times + (margin if stamped else 0.0) <= log.time[-1])
         features = to_features(scene.scenario, frames.features[inside])
         found = cls(scene, joints, features, times[inside], margin, scene.points.mean(axis=0))
-        return found.only(found.seen.any(axis=1))
+        return found.only(np.asarray(found.seen.any(axis=1)))
 
     @property
     def seen(self) -> Mask:
