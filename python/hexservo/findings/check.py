@@ -20,6 +20,7 @@ from hexservo.findings.analysis.linear_law import (
 from hexservo.findings.analysis.loop_of_scenario import NotApplicableError, quiet, rates_without_mass
 from hexservo.findings.analysis.reach import reach_of_start_and_goal
 from hexservo.findings.analysis.scene import Scene, scene_of
+from hexservo.findings.check_adaptation import of_adaptation
 from hexservo.findings.check_base import of_base, of_drift
 from hexservo.findings.check_brake import of_brake
 from hexservo.findings.check_gains import of_gains
@@ -60,10 +61,10 @@ def unlikely(scenario: Scenario, *, by_law: bool = True) -> list[str]:
     (`of_target`), the machine with what is built (`of_machine`), limits and motors of legs that take positions
     with each other, duration and weight (`of_positions`), and in sampled mode the servo period with the loop of
     the gains, linearised at home with the switching term as in `linear_law`; gains with duration, servo rate, delays,
-    forces and noise (`of_gains`); the filter of `tracking` with the target's motion (`of_tracking`), what runs that
-    begin at the goal leave of it, before a target at rest and before one that moves (`of_hold`), what encoders read
-    with the image and the fuzzy inputs (`of_joints`). Gains with which numbers of that loop overflow have a sentence
-    that names it.
+    forces and noise (`of_gains`); drive and adaptation of fuzzy systems with the linear loop (`of_adaptation`), the
+    filter of `tracking` with the target's motion (`of_tracking`), what runs that begin at the goal leave of it, before
+    a target at rest and before one that moves (`of_hold`), what encoders read with the image and the fuzzy inputs
+    (`of_joints`). Gains with which numbers of that loop overflow have a sentence that names it.
     Simulates how the goal is kept and how a target in motion is followed, in a second or some.
 
     Parameters
@@ -82,7 +83,11 @@ def unlikely(scenario: Scenario, *, by_law: bool = True) -> list[str]:
     for of_scenario in (_of_image, _of_principal_point, _of_duration, _of_dropout, of_motion, _of_unknown_latency):
         sentences += evaluated(of_scenario, scenario)
     return sentences + (
-        [sentence for of_law in (_of_rates, of_tracking, of_hold, of_joints) for sentence in evaluated(of_law, scene)]
+        [
+            sentence
+            for of_law in (_of_rates, of_adaptation, of_tracking, of_hold, of_joints)
+            for sentence in evaluated(of_law, scene)
+        ]
         if by_law
         else []
     )
