@@ -181,8 +181,9 @@ LINE = (60.0, 3.0, 20.0, -2.0, -20.0, 2.0, -60.0, -3.0)  # almost on one line
 class Fault:
     """One form that a cause takes.
 
-    Ranges name keys of a scenario, or changes of `_apply`. "slower", "stiffer", "friction", "adaptation" and "prior"
-    are factors of gains, "tick" a servo period, "border", "timeout", "brake" and "noise_of_goal" as commented there.
+    Ranges name keys of a scenario, or changes of `_apply`. "slower", "stiffer", "friction", "adaptation", "drive" and
+    "prior" are factors of gains, "tick" a servo period, "border", "timeout", "brake" and "noise_of_goal" as commented
+    there.
     """
 
     ranges: Mapping[str, Range]
@@ -485,6 +486,7 @@ FAULTS: dict[str, tuple[Fault, ...]] = {
             base_ranges={"camera.noise": Uniform(0.3, 1.2)},
         ),
     ),
+    "fast_adaptation": (Fault({"drive": LogUniform(15.0, 100.0)}, laws=("composite",)),),
 }
 """What `variation` draws from, beside the baselines; a fault of a cause is drawn first."""
 
@@ -589,6 +591,8 @@ def _gains(scenario: hs.Scenario, law: str, drawn: Mapping[str, Any]) -> dict[st
         multiply(f"{law}.kv", drawn["friction"])
     if "adaptation" in drawn:  # [m/N], [rad/(N m)] of the paper's 10
         multiply(f"{law}.fuzzy.adaptation", drawn["adaptation"])
+    if "drive" in drawn:
+        multiply(f"{law}.drive", drawn["drive"])
     if "prior" in drawn:
         multiply(f"{law}.prior", drawn["prior"])
     if "slower" in drawn:  # the same loop in another time: forces by the square, dampings by the first power

@@ -366,6 +366,43 @@ def test_every_law_closes(paper: hs.Scenario, law: str, mode: dict[str, Any]) ->
     assert ("held" in ledger.works) == bool(mode)
 
 
+def of_poses(name: str, bandwidth: float, depth: float) -> hs.Scenario:
+    """The law `pbvs` with fitted gains in continuous mode, which measures a share of its prior from a depth error."""
+    ideal: dict[str, Any] = {
+        "simulation": {"mode": "continuous", "duration": 2.0},
+        "camera.period": None,
+        "camera.latency": 0.0,
+        "camera.noise": 0.0,
+        "camera.image_size": None,
+        "camera.prediction": "none",
+        "controller.switching.kind": "tanh",
+    }
+    law = {"controller.law": "pbvs", "controller.pbvs.auto.bandwidth": bandwidth, "uncertainty.depth": depth}
+    return hs.load_scenario(name).updated({**ideal, **law})
+
+
+@pytest.mark.parametrize(
+    ("name", "bandwidth", "depth"),
+    [("eye-to-hand", 1.0, 0.1), ("eye-to-hand", 5.0, 0.1), ("eye-to-hand", 1.0, 0.2), ("task-general", 1.0, 0.3)],
+)
+def test_a_pose_law_with_a_prior_closes_though_its_steps_are_rebuilt_without_memory(
+    name: str, bandwidth: float, depth: float
+) -> None:
+    ledger = ledger_of(of_poses(name, bandwidth, depth))
+    assert ledger.faults == ()
+    assert ledger.tolerance < 1e-5 * ledger.turnover
+
+
+def test_a_wrench_beyond_what_a_memory_explains_is_flagged() -> None:
+    """One that poses 1e-4 of the depth apart do not explain, as of a law with another K_p."""
+    scenario = of_poses("eye-to-hand", 1.0, 0.1)
+    result = hs.simulate(scenario)
+    stiffness = np.asarray(scenario.controller.gains.kp)
+    other = scenario.updated({"controller.pbvs.kp": (1.01 * stiffness).tolist()})
+    run = replay_of(result, other, result.end_time)
+    assert any("miss the next sample" in fault for fault in energy_ledger(run, Plant.of(run)).faults)
+
+
 def test_substeps_and_leg_forces_that_hold_close(paper: hs.Scenario) -> None:
     legs = {"actuators.hold": "leg_forces", "controller.law": "composite", "controller.switching.kind": "implicit"}
     scenario = varied(paper, SAMPLED, legs, {"simulation.substeps": 3, "simulation.duration": 0.3})

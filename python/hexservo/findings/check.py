@@ -13,6 +13,7 @@ from hexservo.findings.analysis.linear_law import NoRestError, NotFiniteError, t
 from hexservo.findings.analysis.loop_of_scenario import NotApplicableError
 from hexservo.findings.analysis.reach import reach_of_start_and_goal
 from hexservo.findings.analysis.scene import Scene, scene_of
+from hexservo.findings.check_adaptation import of_adaptation
 from hexservo.findings.check_base import of_base, of_drift
 from hexservo.findings.check_brake import of_brake
 from hexservo.findings.check_gains import of_gains
@@ -60,10 +61,10 @@ def unlikely(scenario: Scenario, *, by_law: bool = True) -> list[str]:
     with each other, duration and weight (`of_positions`), the servo period in sampled mode, or the step of the
     integration in continuous mode, with the loop of the gains, linearised at home with the switching term as in
     `linear_law`; gains with what the run needs (`of_slow`), duration, servo rate, delays, forces and noise
-    (`of_gains`); the filter of `tracking` with the target's motion (`of_tracking`), what runs that begin at the goal
-    leave of it, before a target at rest and before one that moves (`of_hold`), what encoders read
-    with the image and the fuzzy inputs (`of_joints`). Gains with which numbers of that loop overflow have a sentence
-    that names it.
+    (`of_gains`); drive and adaptation of fuzzy systems with the linear loop (`of_adaptation`), the filter of `tracking`
+    with the target's motion (`of_tracking`), what runs that begin at the goal leave of it, before a target at rest and
+    before one that moves (`of_hold`), what encoders read with the image and the fuzzy inputs (`of_joints`). Gains with
+    which numbers of that loop overflow have a sentence that names it.
     Simulates how the goal is kept and how a target in motion is followed, in a second or some.
 
     Parameters
@@ -88,7 +89,7 @@ def unlikely(scenario: Scenario, *, by_law: bool = True) -> list[str]:
     return sentences + (
         [
             sentence
-            for of_law in (_of_rates, of_straight_way, of_tracking, of_hold, of_joints)
+            for of_law in (_of_rates, of_adaptation, of_straight_way, of_tracking, of_hold, of_joints)
             for sentence in evaluated(of_law, scene)
         ]
         if by_law

@@ -215,6 +215,14 @@ def _hybrid(machine: Machine, omega: Array, zeta: Array) -> dict[str, Array]:
     }
 
 
+def fitted_adaptation(inertia: Array, omega: Array, zeta: Array) -> dict[str, Array]:
+    """Return drive and adaptation of `composite` for a pose error with omega [1/s] and zeta, by key: (..., 6) each."""
+    return {
+        "drive": omega / (2.0 * zeta) * np.ones(6),
+        "fuzzy.adaptation": _CENTRE / (2.0 * zeta * omega * (UPTAKE * omega) * inertia),
+    }
+
+
 def _composite(machine: Machine, omega: Array, zeta: Array) -> dict[str, Array]:
     stiffness, uptake = omega**2 * machine.inertia, UPTAKE * omega
     return {
@@ -222,9 +230,8 @@ def _composite(machine: Machine, omega: Array, zeta: Array) -> dict[str, Array]:
         "kv": _STICTION * stiffness * machine.distance,
         "kt": stiffness,
         "kd": (2.0 * zeta * omega + uptake) * machine.inertia,
-        "drive": omega / (2.0 * zeta) * np.ones(6),
         "prior": _prior(machine, omega),
-        "fuzzy.adaptation": _CENTRE / (2.0 * zeta * omega * uptake * machine.inertia),
+        **fitted_adaptation(machine.inertia, omega, zeta),
         "fuzzy.error_scale": _FULL_SCALE / machine.distance * np.ones_like(omega),
         "fuzzy.rate_scale": _FULL_SCALE / (machine.distance * omega),
     }

@@ -144,16 +144,7 @@ def loop_at_rest(scenario: Scenario) -> LoopAtRest:
         rests nowhere near its goal.
     """
     controller = scenario.controller
-    require_forces(scenario)
-    if not controller.traits.viscous:
-        raise NotApplicableError(
-            f"the law {controller.law} has Coulomb damping only, which a linear loop does not describe"
-        )
-    if scenario.camera.convention == "as_printed":
-        raise NotApplicableError(
-            "a camera as_printed has no points, and so no pose at which the goal is seen; set "
-            "camera.convention to eye_in_hand"
-        )
+    _require_linear(scenario)
     for key, what in _KNOWN.items():
         if np.any(np.asarray(value_at(scenario, key)) != 0.0):
             raise NotApplicableError(f"the linear loop is of a camera whose {what}, and {key} is not 0")
@@ -176,6 +167,43 @@ def loop_at_rest(scenario: Scenario) -> LoopAtRest:
     as_if_sampled = scenario.simulation.mode == "continuous"
     own = {key: value_at(scenario, key) for key in ("uncertainty.gravity", *AT_HOME)}
     return LoopAtRest(calm, as_if_sampled, rest, free, smooth, slope, calm.updated(own))
+
+
+def _require_linear(scenario: Scenario) -> None:
+    """Refuse what has no linear loop; raise `NotApplicableError`."""
+    require_forces(scenario)
+    controller = scenario.controller
+    if not controller.traits.viscous:
+        raise NotApplicableError(
+            f"the law {controller.law} has Coulomb damping only, which a linear loop does not describe"
+        )
+    if scenario.camera.convention == "as_printed":
+        raise NotApplicableError(
+            "a camera as_printed has no points, and so no pose at which the goal is seen; set "
+            "camera.convention to eye_in_hand"
+        )
+
+
+def loop_at_home(scenario: Scenario) -> SampledLoop:
+    """Linearise a scenario's loop with K_v = 0 at home, as if the image there were the goal.
+
+    It need not find where the loop rests, and so describes any platform; errors of the camera that `loop_at_rest`
+    refuses are left out.
+
+    Raises
+    ------
+    NotApplicableError
+        For a machine that takes positions, a law without viscous damping, and a camera without points.
+    """
+    _require_linear(scenario)
+    known = {key: np.zeros_like(np.asarray(value_at(scenario, key), dtype=float)).tolist() for key in _KNOWN}
+    calm = quiet(with_features(with_gains(scenario).updated(known)))
+    scene = scene_of(calm)
+    try:
+        calm = calm.updated({"target.desired_features": scene.view(scene.home).features.tolist()})
+        return _loop(calm, linear_law(calm, scene_of(calm), scene.home), linear_plant(calm, scene.home))
+    except (NoRestError, ScenarioError) as error:
+        raise NotApplicableError(str(error)) from error
 
 
 def loop_with_weights(at_rest: LoopAtRest, weights: Array, *, smooth: bool) -> SampledLoop:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from hexservo.findings.certificate.memory import forgotten, remembers
 from hexservo.findings.certificate.replay import Plant, Replay, product
 from hexservo.findings.certificate.stages import STAGE_WEIGHTS, Stages, doubled_stages_of, stages_of
 from hexservo.findings.part import Part
@@ -35,7 +36,8 @@ class EnergyLedger(Part):
     residual: float  # change of the energy minus the sum of the works [J]
     tolerance: float  # largest residual that the quadrature may leave [J]
     turnover: float  # sum of the works' absolute values over terms and samples [J]
-    mismatch: float  # largest difference of a rebuilt twist from its sample, by the largest twist [1]
+    # largest difference of a rebuilt twist from its sample beyond what a memory of the law explains, by the largest [1]
+    mismatch: float
     # likewise of a rebuilt position, by the largest position or the stroke, and of a rebuilt quaternion [1]
     pose_mismatch: float
     # likewise of the image and the depths at a sample's pose, by the largest; 0 for a camera as_printed [1]
@@ -101,6 +103,7 @@ def energy_ledger(run: Replay, plant: Plant) -> EnergyLedger:
     works: dict[str, Array] = {}  # term -> (n - 1, 6)
     tolerance = mismatch = pose_mismatch = 0.0
     tossed = 0
+    slack = forgotten(run)
     by_parts = np.ones(count - 1, dtype=bool)  # steps whose error the sum of its absolute parts bounds
     if run.continuous and _smooth(run):
         tolerance, paired = _doubled(run, plant, plain)
@@ -121,7 +124,7 @@ def energy_ledger(run: Replay, plant: Plant) -> EnergyLedger:
         if by_parts[stages.tick].any():
             bound = _quadrature(stages, plant, inertia_there, turning)[1]
             tolerance += float(bound[by_parts[stages.tick]].sum())
-        compared = _compare(run, stages, inertia)
+        compared = _compare(run, stages, inertia, slack)
         mismatch, pose_mismatch = max(mismatch, compared.twist), max(pose_mismatch, compared.pose)
         tossed, tolerance = tossed + compared.tossed, tolerance + compared.doubt
     total = {term: work.sum(axis=1) for term, work in works.items()}
@@ -200,6 +203,8 @@ class _Terms:
             del found["fuzzy"]
         elif stages.fuzzy_output is not None and "fuzzy" in found:
             found["fuzzy"] = -stages.fuzzy_output
+        if remembers(run):  # likewise the pose that was estimated there
+            found["pose_spring"] = found["pose_spring"] + stages.wrench - law.wrench.reshape(shape)
         if not run.continuous:
             found["held"] = stages.wrench - law.wrench.reshape(shape)
         return found
@@ -276,13 +281,13 @@ def _turning(stages: Stages, plant: Plant, plain: bool) -> Array:
 class _Compared:
     """Steps rebuilt to their ends, beside the samples there."""
 
-    twist: float = 0.0  # largest difference where no sign was tossed, by the largest twist [1]
+    twist: float = 0.0  # largest difference that neither a tossed sign nor a memory explains, by the largest twist [1]
     pose: float = 0.0  # likewise of position and quaternion, see `EnergyLedger.pose_mismatch`
     tossed: int = 0  # steps in which rounding decided a sign
-    doubt: float = 0.0  # energy of those [J]
+    doubt: float = 0.0  # energy of those, and of what a memory explains [J]
 
 
-def _compare(run: Replay, stages: Stages, inertia: Array) -> _Compared:
+def _compare(run: Replay, stages: Stages, inertia: Array, slack: Array) -> _Compared:
     """Compare steps rebuilt to their ends with the samples there.
 
     With `sign`, rounding decides the sign of a component that is zero but for rounding, and the core's variants may
@@ -292,31 +297,42 @@ def _compare(run: Replay, stages: Stages, inertia: Array) -> _Compared:
     ----------
     inertia
         (n, 6, 6), of the samples.
+    slack
+        (n - 1, 6), by which the wrench of each step may differ, `forgotten` [N; N m].
     """
     if not stages.to_sample:
         return _Compared()
     largest = max(float(np.abs(run.twist).max()), np.finfo(float).tiny)
     ends = stages.tick + 1
-    difference = np.abs(stages.next_twist - run.twist[ends]).max(axis=1) / largest
+    change = stages.step * product(np.abs(np.linalg.inv(inertia[stages.tick])), slack[stages.tick])  # of a twist
+    difference = _beyond(np.abs(stages.next_twist - run.twist[ends]), change).max(axis=1) / largest
     wrong = difference > _SAME
     if run.continuous and run.scenario.controller.switching.kind == "sign":
         tossed = wrong & (np.abs(stages.twist) <= _ZERO * largest).any(axis=(1, 2))
     else:
         tossed = np.zeros_like(wrong)
+    doubted = tossed | (~wrong & slack[stages.tick].any(axis=1))
     energies = (
-        0.5 * np.einsum("ni,nij,nj->n", twist[tossed], inertia[ends[tossed]], twist[tossed])
+        0.5 * np.einsum("ni,nij,nj->n", twist[doubted], inertia[ends[doubted]], twist[doubted])
         for twist in (stages.next_twist, run.twist[ends])
     )
     doubt = float(np.abs(next(energies) - next(energies)).sum())
     length = max(float(np.abs(run.position).max()), stroke_length(run.scenario.robot))  # [m]
-    shift = np.abs(stages.next_position - run.position[ends]).max(axis=1) / length
-    turn = np.abs(stages.next_quaternion - run.quaternion[ends]).max(axis=1)
+    moved = stages.step * change
+    shift = _beyond(np.abs(stages.next_position - run.position[ends]), moved[:, :3]).max(axis=1) / length
+    turned = moved[:, 3:].max(axis=1, keepdims=True)
+    turn = _beyond(np.abs(stages.next_quaternion - run.quaternion[ends]), turned).max(axis=1)
     return _Compared(
         twist=float(difference[~tossed].max(initial=0.0)),
         pose=float(np.maximum(shift, turn)[~tossed].max(initial=0.0)),
         tossed=int(np.count_nonzero(tossed)),
         doubt=doubt,
     )
+
+
+def _beyond(difference: Array, explained: Array) -> Array:
+    """Return what of a difference is beyond what explains it."""
+    return np.asarray(np.maximum(difference - explained, 0.0))
 
 
 def _image_mismatch(run: Replay) -> float:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from hexservo import _core
+from hexservo.findings.diagnosis.adaptation import ADAPTATION, with_other_gains
 from hexservo.findings.diagnosis.environment import (
     FINE_STEP,
     IMAGE_ALONE,
@@ -252,6 +253,7 @@ LAWS: tuple[Cause, ...] = (
         alone=partial(alone_at_its_gains, name="fuzzy.adaptation", power=1.0),
         kind="law",
     ),
+    ADAPTATION,
     Cause(
         "stiction",
         "stiction: K_v is too large",
@@ -276,8 +278,15 @@ LAWS: tuple[Cause, ...] = (
         kind="law",
     ),
     Cause("prior", "prior or Jacobian of the law", frozenset(f"LAW.{name}" for name in _OPTIONS), _options, kind="law"),
-    Cause("gains_high", "gains that are too high, or too little damped", GAIN_KEYS | _FITTED, _gains_high, kind="law"),
-    Cause("gains_low", "gains that are too low", GAIN_KEYS, _gains_low, kind="law"),
+    Cause(
+        "gains_high",
+        "gains that are too high, or too little damped",
+        GAIN_KEYS | _FITTED,
+        _gains_high,
+        alone=with_other_gains(GAIN_KEYS | _FITTED),
+        kind="law",
+    ),
+    Cause("gains_low", "gains that are too low", GAIN_KEYS, _gains_low, alone=with_other_gains(GAIN_KEYS), kind="law"),
 )
 
 TASKS: tuple[Cause, ...] = (
