@@ -65,7 +65,8 @@ def misfit(scenario: Scenario) -> float:
     if not keys.isdisjoint(chosen_keys(scenario)):
         return 1.0
     here, there = _logarithms(law, machine_of(scenario), _BANDWIDTHS, keys), _of_defaults(law, keys)
-    return float(np.exp(np.abs(here - there).max(axis=1).min()))
+    with np.errstate(invalid="ignore", over="ignore"):
+        return float(np.exp(np.abs(here - there).max(axis=1).min()))
 
 
 def is_far(scenario: Scenario) -> bool:
@@ -96,4 +97,5 @@ def _logarithms(law: str, machine: Machine, bandwidths: Array, keys: frozenset[s
     """Return the logarithms of gains at bandwidths (m,), (m, n): of a stiffness of the image those of one feature."""
     gains = fitted_gains(law, machine, bandwidths, 1.0)
     rows = (gains[key].reshape(len(bandwidths), -1) for key in sorted(keys))
-    return np.concatenate([np.log(row[:, :2] if row.shape[1] > _AXES else row) for row in rows], axis=1)
+    with np.errstate(divide="ignore"):  # a gain of zero: no factor, and no misfit that is a number
+        return np.concatenate([np.log(row[:, :2] if row.shape[1] > _AXES else row) for row in rows], axis=1)
