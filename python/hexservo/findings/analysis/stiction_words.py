@@ -58,8 +58,10 @@ def _left_by(legs: HeldLegs) -> float:
 
 def _of_motors(reason: str, legs: HeldLegs, scene: Scene) -> list[str]:
     unit = scene.units.coordinate
+    feeds_back = getattr(scene.scenario.controller.gains, "feedback", 0.0) > 0.0
+    kp = "(kp (1 + feedback))" if feeds_back else "kp"
     words = [
-        f"{reason}, up to friction/kp = {quantity(legs.held, unit)} from their commands: at the goal this and the "
+        f"{reason}, up to friction/{kp} = {quantity(legs.held, unit)} from those of the goal: there this and the "
         f"weight (up to {quantity(float(np.abs(legs.sag).max()), unit)}) leave image errors of up to "
         f"{number(legs.largest)} px in a coordinate, where {number(scene.band)} px count as settled."
     ]
