@@ -12,6 +12,8 @@ from scipy.linalg import expm
 
 import hexservo as hs
 from hexservo.findings.analysis import drift
+from hexservo.findings.analysis.camera_margins import loop_margins
+from hexservo.findings.analysis.camera_rate import clock_of_loop
 from hexservo.findings.analysis.drift import Drift
 from hexservo.findings.analysis.drift_loop import loop_under_errors
 from hexservo.findings.analysis.drift_patterns import Pattern
@@ -238,6 +240,33 @@ def test_the_loop_is_stable_with_small_errors_and_grows_with_larger_ones() -> No
     assert not found.grows_at(0.002)
 
 
+@pytest.mark.parametrize("gain", [999.4, 1399.0, 1938.84])
+def test_a_limit_far_below_that_of_the_drift_is_found(gain: float) -> None:
+    """0.031 %, 0.0098 % and 0.00098 %, where no rate is negative up to 0.6 %: stable with exact depths and up to it."""
+    base = with_forces(0.0).updated({"controller.resolved_rate.gain": gain})
+    found = drift.analyse(base)
+    assert found.loop is not None
+    assert found.limit_start is not None
+    limit, signs = found.loop.limit, found.loop.signs
+    assert limit is not None
+    assert 0.0 < limit < 0.06 * found.limit_start
+    for share, stable in ((0.0, True), (0.999, True), (1.003, False)):
+        at_rest = loop_at_rest(base.updated({"uncertainty.depth": (share * limit * signs).tolist()}))
+        radius = scene_of(at_rest.scenario).platform_radius
+        assert loop_margins(at_rest.free, clock_of_loop(at_rest), radius, borders=False).stable == stable
+    last = found.section().sentences[-1]
+    assert f"with the signs (-,+,-,+) from {100 * limit:.3g} % on" in last
+
+
+def test_a_loop_that_grows_with_exact_depths_is_stated_to() -> None:
+    found = drift.analyse(with_forces(0.0).updated({"controller.resolved_rate.gain": 2500.0}))
+    assert found.loop is not None
+    assert not found.loop.stable_if_exact
+    section = found.section()
+    assert section.sentences[-1] == "The linear loop grows with exact depths too: see the part camera_rate."
+    assert section.verdict == "bad"
+
+
 def test_a_loop_that_is_not_linearised_is_stated_not_to_be() -> None:
     scenario = with_forces(0.0).updated({"uncertainty.latency": 0.001})
     assert loop_under_errors(scenario, 0.0 * SIGNS, SIGNS[None], 0.002) is None
@@ -251,7 +280,7 @@ def test_of_all_signs_that_with_which_the_loop_grows_first_is_found() -> None:
     assert found.loop.limit is not None
     assert found.limit_start is not None
     assert found.loop.limit < 0.9 * found.limit_start
-    assert any("with the signs (-,+,+,-) from 7.27 % on" in text for text in found.section().sentences)
+    assert any("with the signs (-,+,+,-) from 7.32 % on" in text for text in found.section().sentences)
 
     def growth_of(signs: tuple[float, ...], share: float) -> float:
         """Return the growth [1/s] of the twist of a run without K_v from 1e-4 px, over the last two thirds of 100 s."""

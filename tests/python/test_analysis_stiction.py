@@ -418,50 +418,6 @@ def test_without_kv_the_image_along_z_balances_the_gravity_error(paper: hs.Scena
     assert min(np.abs(held)) < 0.05 * gravity * 0.06 * 9.8
 
 
-@pytest.mark.parametrize("kind", ["tanh", "saturation"])
-def test_smooth_switching_creeps_as_fast_as_it_is_said_to(paper: hs.Scenario, kind: str) -> None:
-    """Runs from the set's extremes: what is left after 2 s, against the linear map of viscous friction K_v/width."""
-    smooth = {"controller.switching": {"kind": kind, "width": 1e-3}, "simulation.duration": 2.0, **NO_FUZZY}
-    scenario = paper.updated({**smooth, "target.desired_features": paper.target.initial_features})
-    found = stiction.analyse(scenario)
-    assert found.kind == "creep"
-    assert found.creep is not None
-    assert found.creep.left is not None
-    scene = scene_of(scenario)
-    rest = found.cases[0].rest
-    ends = found.cases[0].ends
-    assert ends is not None
-    share = 0.3  # of the way to the extremes: the image is still linear
-    goals = np.array([scene.view(scene.home.moved(share * d)).features for d in ends.displacements])
-    runs = hs.simulate_batch(scenario, {"target.desired_features": goals}, threads=1)
-    final = np.abs(runs.samples["feature_error"]).max(axis=1)
-    assert final.max() <= share * found.creep.left * 1.05
-    started = np.abs(goals - scene.view(scene.home).features).max(axis=1)
-    # Each of them by the matrix exponential, as a sum over the eigenvectors.
-    rates, ways = np.linalg.eig(-rest.stiffness / (KV / 1e-3)[:, None])
-    stays = (ways * np.exp(2.0 * rates)) @ np.linalg.inv(ways)
-    expected = np.abs(share * ends.displacements @ stays.real.T @ rest.view.jacobian.T).max(axis=1)
-    np.testing.assert_allclose(final, expected, rtol=0.05, atol=0.01)
-    assert (final < 0.995 * started).all()
-    # The number of the analysis is the maximum of that map (home is the goal here: no error and no wrench there).
-    np.testing.assert_allclose(found.creep.times, np.sort(-1 / rates.real)[::-1], rtol=1e-6)
-    rows = rest.view.jacobian @ stays.real
-    worst = rest.farthest(np.vstack([rows, -rows]))
-    assert worst is not None
-    assert found.creep.left == pytest.approx(np.abs(worst @ rows.T).max(), rel=1e-6)
-
-
-def test_positive_feedback_does_not_creep_back(paper: hs.Scenario) -> None:
-    changes = {"controller.jacobian": "printed", "controller.switching.kind": "tanh", **NO_FUZZY}
-    found = stiction.analyse(paper.updated(changes))
-    assert found.creep is not None
-    assert found.creep.left is None
-    assert np.isinf(found.creep.times).any()
-    section = found.section()
-    assert section.verdict == "open"
-    assert "In some direction it is not restoring." in section.sentences
-
-
 @pytest.mark.parametrize("name", ["paper-composite", "task-rotation", "textbook-general"])
 def test_an_integrating_law_goes_to_where_its_pose_error_vanishes(name: str) -> None:
     scenario = hs.load_scenario(name)

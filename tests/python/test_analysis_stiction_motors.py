@@ -9,6 +9,9 @@ import pytest
 
 import hexservo as hs
 from hexservo.findings.analysis import stiction
+from hexservo.findings.analysis.goal import find_goals
+from hexservo.findings.analysis.poses import Poses
+from hexservo.findings.analysis.scene import scene_of
 
 LONG = {"camera.noise": 0.0, "simulation.duration": 8.0}
 
@@ -39,6 +42,36 @@ def test_runs_on_motors_rest_within_the_bound_and_near_it() -> None:
     print(f"shares of the bound: {np.round(shares, 3)}")
     assert max(shares) <= 1.0
     assert max(shares) > 0.85
+
+
+FED_BACK = {**LONG, "controller.tracking.integral": 0.0, "sensors.resolution": 0.0}
+
+
+@pytest.mark.parametrize("share", [0.0, 0.25, 0.5])
+def test_feedback_of_the_legs_divides_what_weight_and_friction_leave(share: float) -> None:
+    """Legs rest where |q - q_goal + sag| is at most F/(kp (1 + feedback)), and some of them at nearly that."""
+    base = hs.load_scenario("reachy-mini-motors").updated(FED_BACK)
+    scenario = base.updated({"controller.tracking.feedback": share * hs.feedback_margin(base)})
+    legs = stiction.analyse(scenario).legs
+    assert legs is not None
+    scene = scene_of(scenario)
+    goals = find_goals(scene)
+    assert goals is not None
+    starts = np.random.default_rng(0).uniform(-1.0, 1.0, (12, 6)) * np.repeat([4e-3, 0.1], 3)
+    runs = hs.simulate_batch(scenario, {"simulation.start.pose": starts})
+    assert (runs.outcome == "completed").all()
+    ends = Poses(runs.samples["position"], runs.samples["quaternion"])
+    off = scene.leg_travel(ends) - scene.leg_travel(goals.best.view.pose) + legs.sag
+    print(
+        f"feedback {scenario.controller.gains.feedback:.3g}: up to {np.abs(off).max() / legs.held:.3f} of the friction"
+    )
+    assert 0.85 < np.abs(off).max() / legs.held < 1.05
+    assert np.abs(runs.samples["feature_error"]).max() < legs.largest
+    # Hardly any friction leaves the sag.
+    sagging = scenario.updated({"actuators.motor.friction": 1e-5})
+    sagged = stiction.analyse(sagging)
+    assert sagged.legs is not None
+    assert end_of(sagging) == pytest.approx(sagged.legs.largest, rel=0.15)
 
 
 def test_friction_of_motors_is_a_warning_by_a_law_that_does_not_integrate() -> None:

@@ -63,6 +63,21 @@ def test_a_band_beyond_the_offset_under_the_weight_is_named_with_one_that_settle
     assert math.isfinite(ended(settled)["settling_time"])
 
 
+def test_feedback_of_the_legs_divides_the_offset() -> None:
+    """The command is that of the goal and `feedback` times what a leg is behind it: 1 + feedback times as stiff."""
+    fast = {"actuators.position.speed_limit": 0.3}  # else the command may not lead the legs by what the weight needs
+    feedback = 0.5 * hs.feedback_margin(soft().updated(fast))
+    assert feedback > 0.3
+    scenario = soft(feedback=feedback).updated(fast)
+    without, sag = sag_of(scene_of(soft())), sag_of(scene_of(scenario))
+    assert without is not None
+    assert sag is not None
+    ends = ended(scenario)["final_error"]
+    print(f"feedback {feedback:.3g}: {sag.pixels:.4g} px of {without.pixels:.4g} px, run {ends:.4g} px")
+    assert ends == pytest.approx(sag.pixels, rel=0.05)
+    np.testing.assert_allclose(sag.legs * (1.0 + feedback), without.legs, rtol=1e-12)
+
+
 @pytest.mark.parametrize("noise", [0.0, 0.1])
 def test_the_integral_that_is_fitted_settles_soft_motors_whatever_the_noise(noise: float) -> None:
     scenario = soft(noise)

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from hexservo import _core
+from hexservo.findings.analysis.motor_rest import BEGINS
 from hexservo.findings.analysis.reach import nearest_limit
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.analysis.words import AXES
@@ -119,7 +120,7 @@ def _of_band(scene: Scene, law: str) -> Iterator[str]:
     """Find a band of another machine: up to twice the band no error makes the integral begin."""
     if value_at(scene.scenario, f"{law}.integral") == 0.0:
         return
-    left = 2.0 * scene.settings[f"{law}.band"]  # (6,) [m; rad]
+    left = BEGINS * scene.settings[f"{law}.band"]  # (6,) [m; rad]
     levers = np.repeat([1.0, scene.platform_radius], 3)  # of the platform's joints
     share = left * levers / scene.stroke_length
     axis = int(share.argmax())

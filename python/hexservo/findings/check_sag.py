@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hexservo.findings.analysis.goal import find_goals
+from hexservo.findings.analysis.motor_rest import BEGINS, motor_rest
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.check_tracking import ABOVE, off_reference
 from hexservo.findings.leg_feedback import OF_MARGIN, integral_margin
@@ -15,7 +16,6 @@ from hexservo.scenario.arrays import Array
 from hexservo.scenario.laws import Tracking
 from hexservo.scenario.wording import above, below, number, quantity
 
-_BEGINS = 2.0  # times the band: pose errors beyond it make the integral begin (docs/model.md, section 5)
 _OF_BAND = 0.25  # of the settling band, by which errors within the band of the integral move the image
 
 
@@ -31,7 +31,7 @@ class Sag:
 
     def begins(self, band: Array) -> bool:
         """Return whether the offset makes an integral with a band (6,) [m; rad] begin."""
-        return bool((np.abs(self.shift) > _BEGINS * band).any())
+        return bool((np.abs(self.shift) > BEGINS * band).any())
 
 
 def of_sag(scene: Scene) -> Iterator[str]:
@@ -75,27 +75,21 @@ def band_of(gains: Tracking) -> Array:
 
 
 def sag_of(scene: Scene) -> Sag | None:
-    """Return the offset of the law `tracking` under the weight, without its integral; None for others.
-
-    A motor at rest gives kp (q* - q), and q* is the goal and `feedback` times what the leg is behind.
-    """
+    """Return the offset of the law `tracking` under the weight, without its integral; None for others."""
     scenario = scene.scenario
-    gains, motor = scenario.controller.gains, scenario.actuators.motor
+    gains = scenario.controller.gains
     of_law = isinstance(gains, Tracking) and gains.follow == "pose"
     if scenario.actuators.kind != "position_torque" or not of_law or scenario.target.motion.kind != "none":
         return None
-    assert isinstance(gains, Tracking)
     goals = find_goals(scene)
     if goals is None or not goals.reachable:
         return None
     view = goals.best.view
-    forces = scene.resting_forces(view.pose)
-    held = np.sign(forces) * np.maximum(np.abs(forces) - motor.friction, 0.0)
+    rest = motor_rest(scene, view.pose)
     map_ = scene.wrench_maps(view.pose)
-    stiffness = motor.kp * (1.0 + gains.feedback)
-    shift, certain = (np.asarray(np.linalg.solve(map_.T, each / stiffness)) for each in (forces, held))
+    shift, certain = (np.asarray(np.linalg.solve(map_.T, each)) for each in (rest.sag, rest.certain))
     pixels = [float(np.abs(view.jacobian @ each).max()) for each in (shift, certain)]
-    return Sag(forces / stiffness, shift, pixels[0], pixels[1], view.jacobian)
+    return Sag(rest.sag, shift, pixels[0], pixels[1], view.jacobian)
 
 
 def fitted_integral(scene: Scene, sag: Sag) -> tuple[float, Array] | None:

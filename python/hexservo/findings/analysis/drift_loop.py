@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,7 +15,11 @@ from hexservo.findings.analysis.scene import scene_of
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.scenario import Scenario
 
-_ROUNDS = 6  # of bisection: to 1/64 of the drift's limit
+LEAST = 1e-6
+"""Smallest |delta_Z| at which a loop that is stable with exact depths is examined."""
+
+_STEP = 4.0  # from one size to the next smaller one, until it is stable
+_ROUNDS = 10  # of bisection between the last two of these, in the logarithm: to 0.14 % of the size
 
 
 @dataclass(frozen=True)
@@ -22,10 +27,11 @@ class LoopUnderErrors:
     """What the loop with inertia, sensors and actuators does where the rates of a drift are positive."""
 
     own: Margins  # with the scenario's own depth errors
-    limit: (
-        float | None
-    )  # |delta_Z| up to which it is stable with all signs; None: up to the drift's limit; 0: not even so
-    signs: Array  # (p,) +1 or -1, with which it grows first; of no meaning where `limit` is None or 0
+    stable_if_exact: bool  # with exact depths
+    # |delta_Z| up to which it is stable with all signs; None: up to the drift's limit; 0: below `LEAST`, or unstable
+    # with exact depths too
+    limit: float | None
+    signs: Array  # (p,) +1 or -1, with which it grows first; of no meaning without a limit, or if unstable if exact
 
     def grows_at(self, size: float) -> bool:
         """Return whether it grows for some pattern of a size |delta_Z|."""
@@ -73,18 +79,20 @@ def loop_under_errors(scenario: Scenario, own: Array, signs: Array, largest: flo
         return None
     candidates = list(signs)
     if not exact.stable:
-        return LoopUnderErrors(at_own, 0.0, candidates[0])
+        return LoopUnderErrors(at_own, False, 0.0, candidates[0])
     grows = growing(largest, candidates)
     if not grows:
-        return LoopUnderErrors(at_own, None, candidates[0])
+        return LoopUnderErrors(at_own, True, None, candidates[0])
     low, high, worst = 0.0, largest, fastest(grows, candidates)
     candidates = [candidates[number] for number in grows]
-    for _ in range(_ROUNDS):
-        middle = (low + high) / 2
-        grows = growing(middle, candidates)
+    rounds = 0
+    while rounds < _ROUNDS and high > LEAST:
+        size = math.sqrt(low * high) if low > 0.0 else max(high / _STEP, LEAST)
+        rounds += low > 0.0
+        grows = growing(size, candidates)
         if grows:
-            high, worst = middle, fastest(grows, candidates)
+            high, worst = size, fastest(grows, candidates)
             candidates = [candidates[number] for number in grows]
         else:
-            low = middle
-    return LoopUnderErrors(at_own, low, worst)
+            low = size
+    return LoopUnderErrors(at_own, True, low, worst)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from hexservo.findings.analysis.drift import GRID, LARGEST, SIZES, Drift
+from hexservo.findings.analysis.drift_loop import LEAST
 from hexservo.findings.analysis.drift_patterns import Pattern, Size, signs_of
 from hexservo.findings.analysis.words import direction_words, finite, open_section
 from hexservo.findings.evidence import Column, Curves, Item, Line, Section, Table, Verdict, picked
@@ -106,11 +107,13 @@ def _of_loop(found: Drift) -> list[str]:
         return ["Oscillations are not analysed here: the linear loop of the part camera_rate does not apply."]
     if found.loop is None or found.loop.limit is None:
         return []
-    if found.loop.limit == 0.0:
+    if not found.loop.stable_if_exact:
         return ["The linear loop grows with exact depths too: see the part camera_rate."]
+    limit = found.loop.limit
+    size = f"from {100 * limit:.3g} %" if limit > 0.0 else f"from less than {100 * LEAST:g} %"
     return [
         f"The linear loop with inertia, sensors and actuators grows earlier: with the signs "
-        f"{signs_of(found.loop.signs)} from {100 * found.loop.limit:.3g} % on; see the part camera_rate."
+        f"{signs_of(found.loop.signs)} {size} on; see the part camera_rate."
     ]
 
 
@@ -244,7 +247,7 @@ def _data(found: Drift) -> dict[str, Any]:
         else {
             "stable": found.loop.own.stable,
             **picked(found.loop.own, "rate frequency"),
-            "limit": found.loop.limit,
+            **picked(found.loop, "stable_if_exact limit"),
             "signs": signs_of(found.loop.signs),
         },
         "largest_searched": LARGEST,

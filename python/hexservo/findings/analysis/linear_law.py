@@ -326,11 +326,7 @@ def linear_plant(scenario: Scenario, pose: Poses) -> LinearPlant:
         found = [np.concatenate([up[0].displacement_from(down[0]), up[1] - down[1]]) for up, down in both]
         return np.asarray(np.column_stack(found) / (2.0 * sizes))
 
-    # Affine in the wrench: differences are exact.
-    wrenches = np.vstack([np.zeros(6), np.eye(6)])
-    poses = (np.tile(pose.position, (7, 1)), np.tile(pose.quaternion, (7, 1)))
-    given = _core.Probe(settings).acceleration(*poses, np.zeros((7, 6)), wrenches)
-    acceleration = np.asarray((given[1:] - given[0]).T)
+    acceleration = acceleration_by_wrench(_core.Probe(settings), pose)
     # what changes a twist by its step within the tick: the same force is much for one platform, and little for another
     pushes = _TWIST_STEP / (np.abs(acceleration).max(axis=0) * scenario.simulation.step)
     held = [
@@ -340,3 +336,11 @@ def linear_plant(scenario: Scenario, pose: Poses) -> LinearPlant:
     force = columns(lambda w: (pose, still, resting + to_legs @ w), pushes)
     stiffness = _differences(6, _POSE_STEP, lambda d: wrench_map(d) @ resting)
     return LinearPlant(acceleration, stiffness, np.hstack(held), force)
+
+
+def acceleration_by_wrench(probe: _core.Probe, pose: Poses) -> Array:
+    """Return the acceleration of the actual platform by a wrench at rest, (6, 6): the inverse of its inertia."""
+    wrenches = np.vstack([np.zeros(6), np.eye(6)])  # affine in the wrench: differences are exact
+    poses = (np.tile(pose.position, (7, 1)), np.tile(pose.quaternion, (7, 1)))
+    given = probe.acceleration(*poses, np.zeros((7, 6)), wrenches)
+    return np.asarray((given[1:] - given[0]).T)

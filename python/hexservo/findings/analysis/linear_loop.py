@@ -230,6 +230,18 @@ class SampledLoop:
             whole[:size] = self._passage(begin + rest, begin + clock.period) @ whole[:size]
         return whole
 
+    def resting_at(self, clock: Clock) -> Array:
+        """Return the states of the pattern for a platform at rest at a displacement, seen in all frames, (m, n).
+
+        Commands under way and states of the law are those of the pose of rest.
+        """
+        n, at = len(self.acceleration), self._parts
+        states = np.zeros((self.size + self.frame.shape[1] * (clock.latency // clock.period), n))
+        places = [at["x"].start, *range(at["f"].start, len(states), self.frame.shape[1])]
+        for begin in [*places, at["x_seen"].start] if self._sensing else places:
+            states[begin : begin + n] = np.eye(n)
+        return states
+
     def driven(self, clock: Clock) -> tuple[Array, Array]:
         """Return the pattern without the disturbances in its state, and what constant ones add to that, (m, k)."""
         whole = self.pattern(clock)
@@ -273,19 +285,14 @@ class SampledLoop:
         """Return `resting` as states of the pattern."""
         still = self.resting
         n, at = len(self.acceleration), self._parts
-        states = np.zeros((self.size + self.frame.shape[1] * (clock.latency // clock.period), still.shape[1]))
-        states[at["x"]] = still[:n]
+        states = self.resting_at(clock) @ still[:n]
         states[at["s"]] = still[n:]
-        if self._sensing:
-            states[at["x_seen"]] = still[:n]
         if self.actuation.through_legs and self.actuation.stiffness is not None:
             force = -self.actuation.stiffness @ still[:n]
             for k in range(self.actuation.delay):
                 states[at["commands"].start + k * n : at["commands"].start + (k + 1) * n] = force
             if self.actuation.left > 0.0:
                 states[at["lag"]] = force
-        for begin in range(at["f"].start, len(states), self.frame.shape[1]):
-            states[begin : begin + n] = still[:n]
         return states
 
     # --- verdicts -------------------------------------------------------------------------------------------------

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -133,6 +133,12 @@ def require_forces(scenario: Scenario) -> None:
         )
 
 
+def _require_known(scenario: Scenario, keys: Iterable[str]) -> None:
+    for key in keys:
+        if np.any(np.asarray(value_at(scenario, key)) != 0.0):
+            raise NotApplicableError(f"the linear loop is of a camera whose {_KNOWN[key]}, and {key} is not 0")
+
+
 @lru_cache(maxsize=64)  # several parts of an analysis ask, one of them for sixteen signs of depth errors too
 def loop_at_rest(scenario: Scenario) -> LoopAtRest:
     """Linearise a scenario's loop where it rests.
@@ -145,9 +151,7 @@ def loop_at_rest(scenario: Scenario) -> LoopAtRest:
     """
     controller = scenario.controller
     _require_linear(scenario)
-    for key, what in _KNOWN.items():
-        if np.any(np.asarray(value_at(scenario, key)) != 0.0):
-            raise NotApplicableError(f"the linear loop is of a camera whose {what}, and {key} is not 0")
+    _require_known(scenario, _KNOWN)
     scenario = with_features(scenario)
     calm = quiet(scenario)
     slope = np.zeros(6)
@@ -242,6 +246,29 @@ def loop_before_moving_target(at_rest: LoopAtRest, wrenches: Array) -> SampledLo
     loop = _loop(calm, linear_law(calm, scene_of(calm), pose, smooth=smooth), linear_plant(calm, pose), whole=True)
     target = np.hstack([np.zeros_like(wrenches), side_of_target(calm) * np.eye(6)])
     return replace(loop, disturbance=np.hstack([wrenches, np.zeros((6, 6))]), target=target)
+
+
+def smooth_loop_at(scenario: Scenario, pose: Poses) -> tuple[SampledLoop, Clock]:
+    """Return the linear loop of a scenario in sampled mode about a pose, where K_v acts with the slope k_v/width.
+
+    A law without viscous damping has that of K_v. Errors of focal length and principal point are neglected.
+
+    Raises
+    ------
+    NotApplicableError
+        For a machine that takes positions, a camera that filters or whose latency is not known, and where the law
+        cannot be evaluated.
+    """
+    require_forces(scenario)
+    calm = quiet(
+        with_features(scenario).updated({"uncertainty.focal_length": 0.0, "uncertainty.principal_point": [0.0, 0.0]})
+    )
+    _require_known(scenario, ("camera.smoothing", "uncertainty.latency"))
+    try:
+        law = linear_law(calm, scene_of(calm), pose, smooth=True)
+    except NoRestError as error:
+        raise NotApplicableError(str(error)) from error
+    return _loop(calm, law, linear_plant(calm, pose)), clock_of(calm)
 
 
 def rates_without_mass(scenario: Scenario, pose: Poses) -> Array:

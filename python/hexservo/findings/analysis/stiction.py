@@ -8,8 +8,10 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 
 from hexservo.findings.analysis.goal import Goals, find_goals
+from hexservo.findings.analysis.loop_of_scenario import NotApplicableError
 from hexservo.findings.analysis.rest import Rest, RestLaw
 from hexservo.findings.analysis.scene import Scene, scene_of
+from hexservo.findings.analysis.stiction_creep import Creep, creep_of
 from hexservo.findings.analysis.stiction_motors import HeldLegs, held_legs, rubs
 from hexservo.findings.analysis.stiction_runs import Runs, run
 from hexservo.findings.analysis.stiction_set import Extremes, RestSet, confirmed, extremes
@@ -19,8 +21,6 @@ from hexservo.scenario.laws import SMOOTH_KINDS, laws_with
 from hexservo.scenario.parameters import gains_of
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number
-
-_GROWTH = 1.0  # exponent by which a direction may grow in a run and still be followed linearly
 
 Kind: TypeAlias = Literal["set", "creep", "integrated", "motors", "none", "open"]
 
@@ -34,15 +34,6 @@ class StictionCase:
     ends: Extremes | None  # None: no pose within the stroke is held
     # [px]: the largest image error of a pose at which the core's law and legs were checked; None where none was found
     confirmed: float | None
-
-
-@dataclass(frozen=True, eq=False)
-class Creep:
-    """Creep under a smooth switching term: (K_v/width + K_d) d-dot = -A d, linearised."""
-
-    times: Array  # (6,) [s], time constants, slowest first; infinite where an error does not decay
-    # [px], largest image error after the run's duration, from anywhere in the set; None where it grows too far
-    left: float | None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -96,7 +87,11 @@ def analyse(scenario: Scenario) -> Stiction:
         return Stiction(scene, kind, reason, kv, law.gravity_error, prior_error=_prior_error(scene, goals))
     cases = [_case(scene, law, goals, "J-hat, with the depth error", -kv, kv)]
     if kind == "creep":
-        creep = _creep(scene, cases[0].rest, law.stiffness(goals.best.view.pose))
+        goal = goals.best.view.pose
+        try:
+            creep = creep_of(scene, cases[0].rest, goal, law.stiffness(goal))
+        except NotApplicableError as error:
+            return Stiction(scene, "open", f"Open: {reason[:-1]}, and {error}.", nothing, nothing)
         return Stiction(scene, kind, reason, kv, law.gravity_error, tuple(cases), creep=creep)
     if np.any(np.asarray(scenario.uncertainty.depth) != 0):
         cases.append(_case(scene, RestLaw(scene, exact_depth=True), goals, "J, exact depths", -kv, kv))
@@ -222,32 +217,6 @@ def _straight_way(fuzzy: Any, goals: Goals) -> Array:
     """Return the output of one rule that fires alone on the way to the goal: displacement/Psi, within the limit."""
     way = goals.nearest.displacement / fuzzy.adaptation
     return np.asarray(np.clip(way, -fuzzy.weight_limit, fuzzy.weight_limit))
-
-
-def _creep(scene: Scene, rest: RestSet, at_goal: Array) -> Creep:
-    """Follow all displacements that K_v would hold for the run's duration: a linear map, hence linear programs.
-
-    The time constants are those of the stiffness at the goal itself, (6, 6).
-    """
-    from scipy.linalg import expm
-
-    scenario, gains = scene.scenario, gains_of(scene.settings)
-    damping = gains.kv / scenario.controller.switching.width
-    if scenario.controller.traits.viscous:
-        damping = damping + gains.kd
-    rates = np.linalg.eigvals(at_goal / damping[:, None]).real
-    with np.errstate(divide="ignore"):
-        times = np.sort(np.where(rates > 0, 1.0 / rates, np.inf))[::-1]
-    if (rates * scenario.simulation.duration < -_GROWTH).any():
-        return Creep(times, None)
-    stays = expm(-scenario.simulation.duration * rest.stiffness / damping[:, None])
-    centre = np.linalg.solve(rest.stiffness, rest.wrench)  # where the law's wrench is zero
-    rows = rest.view.jacobian @ stays
-    ends = rest.farthest(np.vstack([rows, -rows]))
-    if ends is None:
-        return Creep(times, None)
-    left = rest.error - (centre + (ends - centre) @ stays.T) @ rest.view.jacobian.T
-    return Creep(times, float(np.abs(left).max()))
 
 
 def _prior_error(scene: Scene, goals: Goals) -> float | None:

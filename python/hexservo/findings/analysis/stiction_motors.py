@@ -6,19 +6,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hexservo.findings.analysis.motor_rest import BEGINS, motor_rest
 from hexservo.findings.analysis.scene import Scene, View
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import gains_of
 from hexservo.scenario.scenario import Scenario
 
-_BEGINS = 2.0  # times the band of the law: pose errors beyond it make its integral begin (docs/model.md, section 5)
-
 
 @dataclass(frozen=True, eq=False)
 class HeldLegs:
-    """Legs at rest beside their commands, which are those of the goal."""
+    """Legs at rest beside those of the goal."""
 
-    held: float  # F/K, how far the friction holds each leg off [m]; of rotary legs [rad]
+    held: float  # F/(K (1 + feedback)), how far the friction holds each leg off [m]; of rotary legs [rad]
     sag: Array  # (6,), how far the weight pulls each leg off, in the same unit
     largest: float  # [px], largest image error of a coordinate over all signs of the friction, linear
     # [px], largest image error within which an integral of the law stops; None for a law without
@@ -31,21 +30,19 @@ def rubs(scenario: Scenario) -> bool:
 
 
 def held_legs(scene: Scene, goal: View) -> HeldLegs:
-    """Compute how far from the goal image legs come to rest: |q - q* + sag| <= F/K.
+    """Compute how far from the goal image legs come to rest: |q - q_goal + sag| <= held.
 
-    The law brings the image as seen from the commanded pose to the goal. That is the image error less
-    J-hat H^-T (q - q*), with the estimated depths.
+    The law brings the image as seen from the pose that it commands, without its feedback, to the goal. That is the
+    image error less J-hat H^-T (q - q_goal), with the estimated depths.
     """
     scenario = scene.scenario
-    motor = scenario.actuators.motor
+    rest = motor_rest(scene, goal.pose)
     maps = scene.wrench_maps(goal.pose)
-    sag = scene.resting_forces(goal.pose) / motor.kp
     seen = scene.jacobian(goal.features, goal.depth * (1.0 + np.asarray(scenario.uncertainty.depth)), goal.pose)
     by_leg = seen @ np.linalg.inv(maps.T)  # (2p, 6) [px/m; px/rad]
-    held = motor.friction / motor.kp
-    largest = np.abs(by_leg @ sag) + held * np.abs(by_leg).sum(axis=1)
+    largest = np.abs(by_leg @ rest.sag) + rest.held * np.abs(by_leg).sum(axis=1)
     gains = gains_of(scene.settings)
     integrated = None
     if getattr(gains, "integral", 0.0) > 0.0:
-        integrated = float((np.abs(seen) @ (_BEGINS * np.asarray(gains.band))).max())
-    return HeldLegs(held, sag, float(largest.max()), integrated)
+        integrated = float((np.abs(seen) @ (BEGINS * np.asarray(gains.band))).max())
+    return HeldLegs(rest.held, rest.sag, float(largest.max()), integrated)

@@ -58,8 +58,10 @@ def _left_by(legs: HeldLegs) -> float:
 
 def _of_motors(reason: str, legs: HeldLegs, scene: Scene) -> list[str]:
     unit = scene.units.coordinate
+    feeds_back = getattr(scene.scenario.controller.gains, "feedback", 0.0) > 0.0
+    kp = "(kp (1 + feedback))" if feeds_back else "kp"
     words = [
-        f"{reason}, up to friction/kp = {quantity(legs.held, unit)} from their commands: at the goal this and the "
+        f"{reason}, up to friction/{kp} = {quantity(legs.held, unit)} from those of the goal: there this and the "
         f"weight (up to {quantity(float(np.abs(legs.sag).max()), unit)}) leave image errors of up to "
         f"{number(legs.largest)} px in a coordinate, where {number(scene.band)} px count as settled."
     ]
@@ -150,16 +152,20 @@ def _share_of_bound(runs: Runs) -> float:
 
 
 def _of_creep(found: Stiction) -> str:
-    assert found.creep is not None
+    creep = found.creep
+    assert creep is not None
     duration = found.scene.scenario.simulation.duration
-    slowest = found.creep.times[0]
-    text = (
-        f"Its slowest direction has a time constant of {number(slowest)} s"
-        if np.isfinite(slowest)
-        else "In some direction it is not restoring"
-    )
-    if found.creep.left is not None:
-        text += f"; after the {number(duration)} s of a run up to {number(found.creep.left)} px are left"
+    swings, slowest = creep.frequency > 0.0, creep.times[0]
+    if swings and np.isinf(creep.decay):
+        text = f"It does not come to rest: an oscillation at {number(creep.frequency)} Hz grows"
+    elif np.isinf(slowest):
+        text = "In some direction it is not restoring"
+    else:
+        text = f"Its slowest mode has a time constant of {number(slowest)} s"
+        if swings:
+            text += f", and one that oscillates at {number(creep.frequency)} Hz has {number(creep.decay)} s"
+    if creep.left is not None:
+        text += f"; from the end of a run of {number(duration)} s on, up to {number(creep.left)} px are left"
     return text + "."
 
 
@@ -317,6 +323,8 @@ def _data(found: Stiction) -> dict[str, object]:
     return {
         **picked(found, "kind reason kv gravity_error"),
         "creep_times": None if found.creep is None else found.creep.times,
+        "creep_frequency": None if found.creep is None else found.creep.frequency,
+        "creep_decay": None if found.creep is None else found.creep.decay,
         "creep_left": None if found.creep is None else found.creep.left,
         "fuzzy_straight_way": found.straight_way,
         "prior_error": found.prior_error,
