@@ -36,11 +36,12 @@ def in_lines(
     exposure = np.arange(random.uniform(0.1, 0.2), seconds, 1.0 / rate)
     exposure = exposure[random.random(len(exposure)) >= lost]
     arrival = np.maximum.accumulate(exposure + 0.045 + jitter * random.random(len(exposure)))
-    ticks = tick * np.arange(round((seconds + 1.0) / tick))
+    ticks = tick * np.arange(round((seconds + 1.0) / tick), dtype=float)
     lines = np.searchsorted(ticks, arrival)
     newest = np.append(lines[1:] != lines[:-1], True)
     images = random.normal(0.0, 1.0, (len(exposure), 8))
-    frames = Frames(images, np.round(arrival, 6), np.round(exposure, 6) if stamped else None).only(newest)
+    rounded = [np.asarray(np.round(times, 6), dtype=float) for times in (arrival, exposure)]
+    frames = Frames(images, rounded[0], rounded[1] if stamped else None).only(newest)
     return frames, ticks, int((~newest).sum())
 
 
