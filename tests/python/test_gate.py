@@ -10,7 +10,8 @@ import pytest
 import hexservo as hs
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check import unlikely
-from hexservo.findings.gate_width import noise_at_gate, rejected_share
+from hexservo.findings.gate_width import moved_between_frames, noise_at_gate, rejected_share
+from hexservo.scenario.motion import TargetMotion, displacements_of
 
 OUTLIERS = {"camera.outlier_probability": 0.05, "camera.outlier_size": 40.0}
 SEEDS = list(range(40))
@@ -210,3 +211,14 @@ def test_diagnose_names_a_gate_narrower_than_the_noise(machine: hs.Scenario) -> 
     assert first.remedy is not None
     assert first.remedy.changes == {"camera.gate": 7.9}
     assert first.remedy.works
+
+
+@pytest.mark.parametrize("period", [0.02, 0.05, 0.1, 0.15, 0.19, 0.27])
+def test_the_largest_motion_between_frames_is_that_of_the_recording_at_any_time(period: float) -> None:
+    """Samples every 0.1 s are joined by straight lines: one frame or the other is at a sample. Frames on a grid."""
+    samples = [[0, 0, 0], [0, 0, 0], [1e-3, 2e-4, 0], [7e-4, 0, 3e-4], [4e-4, -1e-4, 0], [0, 0, 0]]
+    motion = TargetMotion.model_validate({"kind": "recorded", "samples": samples, "sample_period": 0.1})
+    time = np.linspace(0.0, 0.7, 70001)
+    every = np.linalg.norm(displacements_of(motion, time + period) - displacements_of(motion, time), axis=1)
+    found = np.linalg.norm(moved_between_frames(motion, period), axis=1)
+    assert found.max() == pytest.approx(every.max(), rel=1e-9)

@@ -82,5 +82,6 @@ def moved_between_frames(motion: TargetMotion, period: float) -> Array:
     if motion.kind == "recorded" and motion.samples is not None and motion.sample_period is not None:
         samples = np.asarray(motion.samples, dtype=float)
         time: Array = motion.sample_period * np.arange(len(samples), dtype=float)
-        return np.asarray(displacements_of(motion, time + period) - samples)
+        time = np.concatenate([time, np.maximum(time - period, 0.0)])  # straight between: a frame is at a sample
+        return np.asarray(displacements_of(motion, time + period) - displacements_of(motion, time))
     return np.zeros((0, 3))

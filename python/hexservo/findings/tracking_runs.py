@@ -183,7 +183,7 @@ def long_enough(scenario: Scenario) -> Scenario:
         assert motion.sample_period is not None
         moved = np.linalg.norm(moved_between_frames(motion, frame_period(scenario)), axis=1)
         count = math.ceil(longest / motion.sample_period) + 1
-        begin = max(0, min(int(moved.argmax()) - count // 2, len(motion.samples) - count))
+        begin = max(0, min(int(moved.argmax()) % len(motion.samples) - count // 2, len(motion.samples) - count))
         changes["target.motion.samples"] = np.asarray(motion.samples)[begin : begin + count].tolist()
     return scenario.updated(changes)
 
