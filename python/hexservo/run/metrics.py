@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from hexservo.scenario.arrays import Mask
 from hexservo.scenario.leg_units import unit_of
 from hexservo.scenario.rules import did_you_mean
 from hexservo.scenario.wording import apart, number, several_names, shown_unit, wrong_type
@@ -107,6 +110,19 @@ def metrics(result: Result) -> dict[str, float]:
     if not hasattr(result, "streamed_metrics"):  # whose module imports this one
         raise wrong_type("result", "a Result (see hs.simulate)", result)
     return dict(result.streamed_metrics)
+
+
+def is_settled(outcome: Any, settling_time: Any) -> Mask:
+    """Return whether runs completed and have a settling time: docs/model.md, section 8; of one run or of many.
+
+    Parameters
+    ----------
+    outcome
+        (n,) of `Result.outcome`, or one.
+    settling_time
+        The metric, (n,) [s], or one; NaN: the run is not within the band at its end.
+    """
+    return np.asarray((np.asarray(outcome) == "completed") & np.isfinite(settling_time))
 
 
 def unsettled(values: Mapping[str, float], measured: Metrics) -> str:
