@@ -52,7 +52,7 @@ class ComparisonRow:
     @property
     def settled(self) -> bool:
         """Whether the run completed and has a settling time: docs/model.md, section 8."""
-        return bool(is_settled(self.outcome, self.metrics["settling_time"]))
+        return bool(is_settled(self.outcome, self.metrics.get("settling_time", math.nan)))
 
     @property
     def verdict(self) -> str:
