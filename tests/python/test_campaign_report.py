@@ -18,7 +18,7 @@ import hexservo as hs
 from browsers import chromium, in_browser
 from hexservo.campaigns.drawing import with_unit
 from hexservo.campaigns.intervals import anytime_interval
-from hexservo.campaigns.pictures import campaign_sections, influential, size_of_chance
+from hexservo.campaigns.pictures import campaign_sections, correlations, size_of_chance
 from hexservo.draw.evidence import item_figure
 from hexservo.draw.style import BLUE, VERMILION
 from hexservo.findings.evidence import Bars, Curves, Line, Section, Share
@@ -76,6 +76,11 @@ def test_the_curves_are_those_of_the_runs(result: hs.CampaignResult) -> None:
     passes, fails = found["Runs in the plane of both"].lines
     assert (passes.name, fails.name) == ("passes", "fails")
     assert len(fails.x) == min(result.failures, 600)
+
+
+def influential(result: hs.CampaignResult) -> list[tuple[str, float]]:
+    """Return the two varied numbers that the margin depends on most, with the size of their rank correlation."""
+    return correlations(pa.concat_tables(result.tables()))[:2]
 
 
 def test_what_varies_has_its_unit(result: hs.CampaignResult, paper: hs.Scenario) -> None:

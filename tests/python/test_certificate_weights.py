@@ -112,6 +112,8 @@ def test_the_limit_of_the_weights_is_kept_and_priced() -> None:
     assert best.error == pytest.approx(0.5, rel=3 * TIE)
     assert best.lower_bound == pytest.approx(0.5, rel=1e-9)
     assert best.limited
+    small = best_weights(np.full((3, 1), 0.1), np.ones(3), limit=0.5)  # 0.95 of the error is left
+    assert small.limited
     assert not best_weights(np.full((3, 1), 0.1), np.ones(3)).limited
     assert best_weights(np.eye(3), np.array([1.0, -2.0, 0.5])).limit == 2.0 * LIMIT
 

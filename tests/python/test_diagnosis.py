@@ -1046,7 +1046,7 @@ def test_signatures_detect_the_patterns_they_describe() -> None:
     judgement = judged(scenario, pushed)
     signature = SIGNATURES["saturation"](Case(scenario, None), pushed, judgement)
     assert signature.strength == pytest.approx(0.5, abs=0.01)
-    assert "10% of the time" in signature.sentence
+    assert "10% of the samples" in signature.sentence
 
     shrinking = SIGNATURES["wrong_sign"](Case(scenario, None), record, judgement)
     assert shrinking.strength == 0.0

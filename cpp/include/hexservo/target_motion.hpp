@@ -59,7 +59,6 @@ class TargetPlace {
   bool moves(const BaseMotion<S>& base) const noexcept {
     return p_.kind != TargetMotionKind::none || (in_world_ && base.moves());
   }
-  bool in_world() const noexcept { return in_world_; }
 
   /// d at t >= 0 [s], in the target's frame [m].
   Vector3<S> displacement(double time) const noexcept {

@@ -72,19 +72,13 @@ def _rows(result: CampaignResult, groups: Sequence[NDArray[np.intp]]) -> list[pa
     return [pa.concat_tables(part).combine_chunks() for part in parts]
 
 
-def influential(result: CampaignResult) -> list[tuple[str, float]]:
-    """Return the two varied numbers that the margin depends on most, with the size of their rank correlation.
+def correlations(table: pa.Table) -> list[tuple[str, float]]:
+    """Return the numbers that vary in a table of runs and the size of the margin's rank correlation with each.
 
-    Of each number the correlation with its value and with its distance from the median is taken, and the larger one
-    counts: an error may matter whatever its sign. Of entries that are one number the first is named; seeds are left
-    out. Of more than 100 000 runs a random sample counts.
+    The largest comes first. Of each number the correlation with its value and with its distance from the median is
+    taken, and the larger one counts: an error may matter whatever its sign. Of entries that are one number the first
+    is named; seeds are left out.
     """
-    (sample,) = _rows(result, [_sampled(len(result))])
-    return _correlations(sample)[:2]
-
-
-def _correlations(table: pa.Table) -> list[tuple[str, float]]:
-    """Return the sizes of `influential` of all numbers that vary, the largest first."""
     ranks = rankdata(table.column("margin").to_numpy())
     inputs = [name for name in table.column_names[1 : table.column_names.index("outcome")] if name != "seed"]
     sizes: dict[str, float] = {}
@@ -195,7 +189,7 @@ def _of_sample(result: CampaignResult, table: pa.Table) -> str:
 
 def _failures(result: CampaignResult, failed: Mask, sample: pa.Table, dots: Sequence[pa.Table]) -> Section:
     """Return passing and failing runs, `dots`, in the plane of the two numbers that matter most."""
-    found = _correlations(sample)
+    found = correlations(sample)
     title = "Where the failures lie" if failed.any() else "What the margin depends on"
     if not found:
         return Section("failures", title, ["Nothing but seeds varies."])

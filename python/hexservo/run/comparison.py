@@ -17,7 +17,15 @@ from hexservo.run.display import comparison_text
 from hexservo.run.drawn import figure_of, html_of, image_of
 from hexservo.run.files import write_folder
 from hexservo.run.leg_limits import exceeded_limits
-from hexservo.run.metrics import METRICS, metric_unit, readable_unit, shown_number, since_settling, unsettled
+from hexservo.run.metrics import (
+    METRICS,
+    is_settled,
+    metric_unit,
+    readable_unit,
+    shown_number,
+    since_settling,
+    unsettled,
+)
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.default_gains import is_far, platform_of_defaults, taken_over
 from hexservo.scenario.fields import described
@@ -53,7 +61,7 @@ class ComparisonRow:
     @property
     def settled(self) -> bool:
         """Whether the run completed and has a settling time: docs/model.md, section 8."""
-        return self.outcome == "completed" and not math.isnan(self.metrics["settling_time"])
+        return bool(is_settled(self.outcome, self.metrics.get("settling_time", math.nan)))
 
     @property
     def verdict(self) -> str:

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from hexservo.scenario.arrays import Mask
 from hexservo.scenario.leg_units import unit_of
 from hexservo.scenario.rules import did_you_mean
 from hexservo.scenario.wording import above, apart, number, several_names, shown_unit, wrong_type
@@ -134,6 +137,19 @@ def since_settling(values: Mapping[str, float], measured: Metrics, digits: int =
         return f"after {above(float(f'{settled:.12g}'), digits)} s"  # a grid time without its rounding
     within = stayed_within(settled, values["peak_error"], measured.band)
     return "from the start on" if within else "after the first sample"
+
+
+def is_settled(outcome: Any, settling_time: Any) -> Mask:
+    """Return whether runs completed and have a settling time: docs/model.md, section 8; of one run or of many.
+
+    Parameters
+    ----------
+    outcome
+        (n,) of `Result.outcome`, or one.
+    settling_time
+        The metric, (n,) [s], or one; NaN: the run is not within the band at its end.
+    """
+    return np.asarray((np.asarray(outcome) == "completed") & np.isfinite(settling_time))
 
 
 def unsettled(values: Mapping[str, float], measured: Metrics) -> str:

@@ -43,14 +43,14 @@ def starts_in_words(result: CameraRate, acting: Margins) -> list[str]:
     if result.settles == acting.stable:
         return [f"{text}, as the linear loop predicts.", *_hunting_in_words(result), *_causes_in_words(result)]
     return [
-        f"{text}. The verdict follows these runs: the linear loop, taken {_taken(result, acting)}, is "
+        f"{text}. The verdict follows these runs: the linear loop, taken {_taken(result)}, is "
         f"{'stable' if acting.stable else 'unstable'} and does not describe them.",
         *_hunting_in_words(result),
         *_causes_in_words(result),
     ]
 
 
-def _taken(result: CameraRate, acting: Margins) -> str:
+def _taken(result: CameraRate) -> str:
     """Return where the linear loop is taken that does not describe the runs: without what acts in them."""
     without_kv = next((repeat for repeat in result.repeats if repeat.without == "switching"), None)
     if without_kv is not None and without_kv.rests != result.settles:

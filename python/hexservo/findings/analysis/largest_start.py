@@ -5,8 +5,8 @@ Empirical throughout (docs/analysis/largest_start.md).
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -82,7 +82,7 @@ class LargestStart(Part):
     open_because: str  # empty where the analysis applies
     directions: tuple[Direction, ...] = ()  # the task's own first; those along which a goal is possible
     timings: tuple[Timing, ...] = ()
-    duration: float = 0.0  # [s], of every run
+    duration: float = 0.0  # [s], of most runs
     longer: float = 0.0  # [s], of those of the smallest sizes and times that fail; 0: there were none
     task_duration: float = 0.0  # [s], of the longest run of the task itself, where it does not settle
     is_cut: bool = False  # whether this is less than the scenario's own, so that a slow task may settle yet
@@ -95,6 +95,7 @@ class LargestStart(Part):
     dwell: float = 0.0  # [s], how long a run must have been within the band at its end
     assumed: str = ""  # what the runs with camera times assume beside the scenario
     from_home: bool = False  # the scenario's own start is not home at rest, from which all runs start
+    durations: Mapping[float, int] = field(default_factory=dict)  # number of runs of each duration [s]
 
     @property
     def own(self) -> Direction | None:
@@ -145,6 +146,7 @@ def analyse(scenario: Scenario) -> LargestStart:
         measured.dwell,
         assumed,
         any(np.any(np.asarray(value_at(scenario, key))) for key in AT_HOME),
+        dict(sorted(trial.durations.items())),
     )
 
 

@@ -97,11 +97,19 @@ def _sentences(found: LargestStart) -> list[str]:
     words += _force_words(found)
     again = [d.name for d in found.directions if d.settles_again]
     words.append(
-        f"All of this is from {found.runs} runs of {found.duration:g} s, not derived: sizes between those "
+        f"All of this is from {found.runs} runs{_of_durations(found)}, not derived: sizes between those "
         "that were run are not covered, and a limit need not be the only one"
         + (f" (along {', '.join(again)} a larger error settles again)." if again else ".")
     )
     return words
+
+
+def _of_durations(found: LargestStart) -> str:
+    """Return how long the runs are, and how many there are of each duration where they differ."""
+    if len(found.durations) < 2:
+        return f" of {found.duration:g} s"
+    *others, last = (f"{count} of {duration:g} s" for duration, count in found.durations.items())
+    return f" ({', '.join(others)} and {last})"
 
 
 def _not_settled(found: LargestStart) -> str:

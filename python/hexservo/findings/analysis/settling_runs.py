@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -13,6 +14,7 @@ from hexservo.findings.analysis.scene import AT_HOME
 from hexservo.findings.analysis.tried import bordering
 from hexservo.run.batch import metrics_of, simulate_batch, whole
 from hexservo.run.leg_limits import KIND_OF_CAUSE, LimitUse, most_used, overload
+from hexservo.run.metrics import is_settled
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.noise import is_random
 from hexservo.scenario.scenario import Scenario
@@ -63,6 +65,8 @@ class SettlingRuns:
     ----------
     duration, longer
         [s], of a run, and of the smallest that fails, when it is repeated.
+    durations
+        How many runs there were of each duration [s].
     task_settles
         Whether the task itself settles, in a run of up to `task_duration` [s].
     is_cut
@@ -70,7 +74,7 @@ class SettlingRuns:
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        self.runs = 0
+        self.durations: Counter[float] = Counter()
         own, step, dwell = scenario.simulation.duration, scenario.simulation.step, scenario.metrics.dwell
         self.scenario = scenario.updated(AT_HOME)
         # the short duration, unless the task itself needs a longer one
@@ -91,6 +95,11 @@ class SettlingRuns:
             self.longer = self.duration
         self.is_cut = not self.task_settles and self.task_duration < own
         self.scenario = self.scenario.updated({"simulation.duration": self.duration})
+
+    @property
+    def runs(self) -> int:
+        """Number of runs so far."""
+        return self.durations.total()
 
     def longest(self) -> Scenario:
         """Return the scenario with the longer duration."""
@@ -135,9 +144,9 @@ class SettlingRuns:
                     raise
                 ran[rows[int(refused[1])]] = False
                 continue
-            self.runs += len(rows)
+            self.durations[base.simulation.duration] += len(rows)
             times[rows] = batch.metrics["settling_time"]
-            in_image = (batch.outcome == "completed") & np.isfinite(times[rows])
+            in_image = is_settled(batch.outcome, times[rows])
             for k, row in enumerate(rows):
                 found = metrics_of(batch, k)
                 use = most_used(base, found, KIND_OF_CAUSE.get(batch.cause[k], ""))

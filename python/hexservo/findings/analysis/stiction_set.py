@@ -142,7 +142,7 @@ class Extremes:
     """How far off the points of a `RestSet` are."""
 
     largest: float  # [px], of any coordinate of the image error: linear programs, exact for the linearised set
-    rms: float  # [px], over the eight coordinates: best of local searches, a lower bound of the largest
+    rms: float  # [px], over all coordinates of the points: best of local searches, a lower bound of the largest
     turn: float  # [rad], of the camera's optical axis against the target, from the linearisation pose: the same
     displacements: Array  # (k, 6) [m; rad] of the vertices found, largest image error first
     pose: Array  # (6,) [m; rad], largest displacement along each axis from the linearisation pose

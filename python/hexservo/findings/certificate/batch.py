@@ -15,7 +15,7 @@ from hexservo.findings.certificate.replay import Plant, every_step, replay_of
 from hexservo.findings.certificate.uncertainty import assumption_of, uncertainty_of
 from hexservo.findings.evidence import as_data
 from hexservo.findings.part import Part
-from hexservo.run.metrics import metrics
+from hexservo.run.metrics import is_settled, metrics
 from hexservo.run.progress import reporting
 from hexservo.run.variations import changes_of_run, checked_variations
 from hexservo.scenario.arrays import Array, Mask
@@ -60,7 +60,7 @@ class BatchCertificate(Part):
     @property
     def settled(self) -> Mask:
         """(n,), whether the run completed and has a settling time (docs/model.md, section 8)."""
-        return np.asarray((self.outcome == "completed") & np.isfinite(self.settling_time))
+        return is_settled(self.outcome, self.settling_time)
 
     @property
     def counts(self) -> NDArray[np.intp]:

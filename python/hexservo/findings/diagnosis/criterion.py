@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hexservo.run.metrics import is_settled
 from hexservo.scenario.arrays import Array
 
 DRIFT_TIME = 30.0
@@ -37,7 +38,7 @@ class Record:
     @property
     def settled(self) -> bool:
         """Whether the run completed and has a settling time: docs/model.md, section 8."""
-        return self.outcome == "completed" and not math.isnan(self.metrics["settling_time"])
+        return bool(is_settled(self.outcome, self.metrics["settling_time"]))
 
     def remaining(self, dwell: float) -> float:
         """Return the largest error within the dwell time before the end [px]."""

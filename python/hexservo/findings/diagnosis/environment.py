@@ -57,9 +57,9 @@ ORDINARY: dict[str, float] = {
 _ORDINARY_BASE = 0.05  # [m/s^2], of `micro`: amplitude of a sinusoidal motion of the base
 ORDINARY_DEPTH = 0.3  # mean error of the depths: a loop that bears no 30 % of its gains has another cause
 ORDINARY_WEIGHT = 0.02  # error of the weight, before a law that holds more than 0.001 of it
+"""Motions and errors of at most these are no causes, though a scenario without faults has none of them."""
 # laws without pose or rate loop: they hold a weight by image errors alone
 IMAGE_ALONE = tuple(law for law, has in _core.LAW_TRAITS.items() if has.output == "wrench" and not has.prior)
-"""Motions and errors of at most these are no causes, though a scenario without faults has none of them."""
 ORDINARY_BANDWIDTH = 100.0  # [Hz], of the actuators, at least
 _ROUNDING = 1e-9  # relative difference of equal numbers
 _NEAR = 1.5  # factor between a gain and its default within which it is ordinary

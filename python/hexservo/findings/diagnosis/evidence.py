@@ -23,6 +23,8 @@ from hexservo.scenario.pixels import desired_features, feature_noise, points_out
 from hexservo.scenario.wording import number, quantity
 
 _TAIL = 0.25  # the last part of a run, in which it rests or does not
+_DECREASES = 0.98  # of the error at the start: what lies below is no noise of it
+_GROWS = 0.5  # of the error at the start, by which it rises where the sign is surely wrong
 _AT_REST = 0.02  # of the stroke, that the legs may move in it
 _AT_LIMIT = 0.999  # of the force limit
 _LARGEST = sys.float_info.max / 8.0  # six of them have a finite length, and twice that
@@ -40,9 +42,21 @@ class Signature:
 
 
 def _wrong_sign(case: Case, record: Record, judgement: Judgement) -> Signature:
-    start = record.error[0]
-    if start <= 0.0 or record.error.min() < 0.98 * start or record.metrics["peak_error"] < 1.5 * start:
-        return Signature(0.0, "The error decreases at first; with the wrong sign it would not.")
+    start, at = record.error[0], int(np.argmin(record.error))
+    if start <= 0.0:
+        return Signature(0.0, "The error at the start is 0: what drives it away is not the sign.")
+    if record.error[at] < _DECREASES * start:
+        return Signature(
+            0.0,
+            f"The error decreases, from {number(start)} px at the start to {number(record.error[at])} px at "
+            f"t = {number(record.time[at])} s; with the wrong sign it would not.",
+        )
+    rise = record.metrics["peak_error"] / start - 1.0
+    if rise < _GROWS:
+        by = f"rises by only {rise:.0%}" if rise >= 0.005 else "does not rise either"  # a law that does not move
+        return Signature(
+            max(rise, 0.0) / _GROWS, f"The error never decreases, but {by}: it is {number(start)} px at the start."
+        )
     return Signature(
         1.0,
         f"The error never decreases: {number(start)} px at the start, {number(record.metrics['peak_error'])} px at "
@@ -55,7 +69,12 @@ def _at_effort_limit(case: Case, record: Record, judgement: Judgement) -> Signat
     share = float((np.abs(record.samples["leg_forces"]).max(axis=1) >= _AT_LIMIT * limit).mean())
     units = leg_units(case.scenario.robot)
     limited = f"{units.effort_name} limit of {number(limit, 4)} {units.effort}"
-    sentence = f"A leg is at its {limited} for {share:.0%} of the time." if share else f"No leg reaches its {limited}."
+    if share:
+        sentence = f"A leg is at its {limited} in {number(1e2 * share, 2)}% of the samples."
+    elif record.metrics["peak_leg_force"] >= _AT_LIMIT * limit:  # of all steps; the samples are some of them
+        sentence = f"A leg reaches its {limited}, but in none of the {len(record.time)} samples."
+    else:
+        sentence = f"No leg reaches its {limited}."
     return Signature(min(1.0, share / 0.2), sentence)
 
 

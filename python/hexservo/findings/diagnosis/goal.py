@@ -43,7 +43,7 @@ class Obstacle:
 
 
 def obstacle_of(scenario: Scenario, goal: Goal | None) -> Obstacle | None:
-    """Check by the goal image, stroke and joint limits whether start and goal can be reached at all (`_analysis`).
+    """Check by the goal image, stroke and joint limits whether start and goal can be reached at all.
 
     None where they can; of a camera as printed, whose goal has no pose, the start alone is checked.
     """

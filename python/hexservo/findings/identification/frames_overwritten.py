@@ -12,7 +12,7 @@ from hexservo.findings.identification.log import Frames
 from hexservo.scenario.arrays import Array
 
 _SHORTER = 0.98  # of a tick, most that the period of a camera is whose frames pass for one in each line, with jitter
-_ONE_EACH = 0.99  # share of the frames that have a line of their own, in a log that has one frame in each
+_ONE_EACH = 0.99  # share of the frames that have a separate line, in a log that has one frame in each
 _POLLED = (
     0.9  # order of the frames' phases at ticks from which on they are asked for at ticks, whatever the camera does
 )
