@@ -12,7 +12,7 @@ import hexservo as hs
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.identification.changes import changes_of
 from hexservo.findings.identification.frames import fit_camera
-from hexservo.findings.identification.frames_overwritten import clock_of
+from hexservo.findings.identification.frames_overwritten import clock_of_overwritten
 from hexservo.findings.identification.log import Frames
 from test_identification import SEED, seen_log, within
 from test_identified_camera import drives_of_seen_log, least_of
@@ -50,7 +50,7 @@ def in_lines(
 def test_frames_that_others_replace_are_no_dropout(rate: float, jitter: float, stamped: bool) -> None:
     """Of 60 Hz at 50 lines a second every sixth one: the others passed for frames each 20 ms."""
     frames, ticks, replaced = in_lines(np.random.default_rng(SEED), rate, jitter=jitter, stamped=stamped)
-    found = clock_of(frames, ticks)
+    found = clock_of_overwritten(frames, ticks)
     assert found is not None
     assert found.period.value == pytest.approx(1.0 / rate, rel=1e-4)
     assert found.dropout.value == 0.0
@@ -62,7 +62,7 @@ def test_dropout_is_that_of_frames_that_no_other_replaces(rate: float) -> None:
     random, hits, count = np.random.default_rng(SEED), 0, 20
     for _ in range(count):
         frames, ticks, replaced = in_lines(random, rate, jitter=0.002, lost=0.1)
-        found = clock_of(frames, ticks)
+        found = clock_of_overwritten(frames, ticks)
         assert found is not None
         hits += within(found.dropout, 0.1)
         assert found.overwritten == pytest.approx(replaced, rel=0.2)
@@ -74,13 +74,15 @@ def test_frames_of_slower_cameras_or_asked_for_at_ticks_have_no_shorter_period(j
     random = np.random.default_rng(SEED)
     for rate in (10.0, 24.0, 30.0, 50.0):
         frames, ticks, _ = in_lines(random, rate, jitter=jitter)
-        found = clock_of(frames, ticks)
+        found = clock_of_overwritten(frames, ticks)
         assert found is not None
         assert found.period.value == pytest.approx(1.0 / rate, rel=1e-3)
         assert found.overwritten == 0
     frames, ticks, _ = in_lines(random, 60.0)
     asked = ticks[np.searchsorted(ticks, frames.arrival)] + random.uniform(0.0, 1e-3, len(frames.arrival))
-    found = clock_of(replace(frames, arrival=asked), ticks)  # of times that the program took, a little after the tick
+    found = clock_of_overwritten(
+        replace(frames, arrival=asked), ticks
+    )  # of times that the program took, a little after the tick
     assert found is not None
     assert found.period.value == pytest.approx(TICK, rel=1e-4)
     assert found.overwritten == 0
@@ -91,7 +93,7 @@ def test_a_log_that_has_all_frames_has_none_that_others_replace() -> None:
     random = np.random.default_rng(SEED)
     arrival = 0.1 + np.arange(1500) / 60.0
     arrival = arrival[random.random(1500) >= 0.1]
-    found = clock_of(Frames(np.zeros((len(arrival), 2)), arrival, None), TICK * np.arange(1300.0))
+    found = clock_of_overwritten(Frames(np.zeros((len(arrival), 2)), arrival, None), TICK * np.arange(1300.0))
     assert found is not None
     assert within(found.dropout, 0.1)
     assert found.overwritten == 0

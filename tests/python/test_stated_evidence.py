@@ -87,10 +87,9 @@ def test_a_limit_that_is_reached_between_the_samples_is_reached() -> None:
 def test_runs_are_counted_by_their_duration(monkeypatch: pytest.MonkeyPatch) -> None:
     """Counted where they are started: sizes that fail are repeated for longer."""
     started: Counter[float] = Counter()
-    simulate_batch = settling_runs.simulate_batch
 
     def counted(base: hs.Scenario, *arguments: Any, **options: Any) -> Any:
-        batch = simulate_batch(base, *arguments, **options)
+        batch = hs.simulate_batch(base, *arguments, **options)
         started[base.simulation.duration] += len(batch)
         return batch
 

@@ -100,7 +100,7 @@ def order_of(times: Array, period: float) -> float:
     return float(abs(np.exp(2j * np.pi * times / period).mean()))
 
 
-def numbers_of(times: Array, period: float) -> Array:
+def frame_numbers(times: Array, period: float) -> Array:
     """Return the number of each frame of a period: the middle of their phases belongs to a whole number."""
     phase = float(np.angle(np.exp(2j * np.pi * (times - times[0]) / period).mean())) / (2 * np.pi)
     return np.asarray(np.rint((times - times[0]) / period - phase))
@@ -108,12 +108,12 @@ def numbers_of(times: Array, period: float) -> Array:
 
 def _refined(times: Array, period: float) -> float:
     """Return the period of the line through the frames, numbered by it."""
-    numbers = numbers_of(times, period)
+    numbers = frame_numbers(times, period)
     for _ in range(_ROUNDS):
         if numbers[-1] == numbers[0]:
             break
         period = float(np.polyfit(numbers, times - times[0], 1)[0])
-        before, numbers = numbers, numbers_of(times, period)
+        before, numbers = numbers, frame_numbers(times, period)
         if (numbers == before).all():
             break
     return period
@@ -121,12 +121,12 @@ def _refined(times: Array, period: float) -> float:
 
 def scatter_about(times: Array, period: float) -> float:
     """Return the RMS distance [s] of frames from the line that numbers them."""
-    left = times - times[0] - period * numbers_of(times, period)
+    left = times - times[0] - period * frame_numbers(times, period)
     return float(np.std(left))
 
 
 def _line(times: Array, period: float, tick: float) -> tuple[Interval, Interval]:
-    numbers = numbers_of(times, period)
+    numbers = frame_numbers(times, period)
     slope, start = np.polyfit(numbers, times - times[0], 1)
     left = times - times[0] - slope * numbers - start
     variance = correlated(left) * float(left @ left) / (len(times) - 2)

@@ -28,7 +28,7 @@ from hexservo.findings.identification.frames_noise import (
     spline_shares,
 )
 from hexservo.findings.identification.frames_outliers import NoOutliers, Outliers, outliers_of
-from hexservo.findings.identification.frames_overwritten import clock_of
+from hexservo.findings.identification.frames_overwritten import clock_of_overwritten
 from hexservo.findings.identification.frames_repeated import repeats
 from hexservo.findings.identification.interval import Interval, correlated, half_width, robust_deviations
 from hexservo.findings.identification.joint_motion import JointMotion
@@ -175,7 +175,7 @@ def fit_camera(log: Log, scene: Scene, drives: Drives | None = None) -> CameraFi
         if len(frames.arrival) < _FEWEST:
             return CameraFit(count, open=f"expected at least {_FEWEST} frames, got {repeated} of {count} repeated")
     stamped = frames.exposure is not None
-    clock = clock_of(frames, log.time)
+    clock = clock_of_overwritten(frames, log.time)
     period, dropout = (None, None) if clock is None else (clock.period, clock.dropout)
     seen = frames.seen
     lost: dict[str, Any] = {"overwritten": 0 if clock is None else clock.overwritten}

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hexservo.findings.identification.frame_clock import clock, numbers_of, order_of, scatter_about, share_of
+from hexservo.findings.identification.frame_clock import clock, frame_numbers, order_of, scatter_about, share_of
 from hexservo.findings.identification.interval import Interval
 from hexservo.findings.identification.log import Frames
 from hexservo.scenario.arrays import Array
@@ -31,7 +31,7 @@ class FrameClock:
     overwritten: int = 0  # frames that arrived after a line of the log, and before another frame of the next line
 
 
-def clock_of(frames: Frames, ticks: Array) -> FrameClock | None:
+def clock_of_overwritten(frames: Frames, ticks: Array) -> FrameClock | None:
     """Return the clock of the frames of a log, or None where they have no common period.
 
     A camera that is faster than the lines of a log has frames that no line has, since each has the newest. They are
@@ -83,7 +83,7 @@ def _without_overwritten(period: Interval, times: Array, arrival: Array, ticks: 
     ticks
         (n,) times of the log's lines [s].
     """
-    numbers = numbers_of(times, period.value)
+    numbers = frame_numbers(times, period.value)
     every = np.arange(numbers[0], numbers[-1])
     slope, start = np.polyfit(numbers, arrival - arrival[0], 1)
     early, late = np.quantile(arrival - arrival[0] - slope * numbers - start, [_RARE, 1.0 - _RARE])
