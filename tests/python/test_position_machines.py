@@ -660,7 +660,7 @@ def test_a_lost_point_is_null_on_the_link_and_blank_in_the_log(tmp_path: Path) -
     assert rows[2].endswith(",,,,,,,,,")  # the same image again
     frames = hs.read_log(tmp_path / "log.csv").frames
     assert frames is not None
-    np.testing.assert_array_equal(frames.features, [np.arange(8.0)])  # the one with all points
+    np.testing.assert_array_equal(frames.features, [[1, 2, 3, 4, 5, 6, np.nan, np.nan], np.arange(8.0)])
 
 
 @pytest.mark.parametrize(("lost", "ends"), [(slice(6, 8), False), (slice(0, 8), True)])
