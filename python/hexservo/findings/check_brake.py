@@ -20,6 +20,7 @@ from hexservo.scenario.wording import below, number, quantity
 _MOST_STEPS = 100_000  # of a run that is judged
 _OF_FORCE = 0.8  # of what the legs have beside the weight: what the proposed gains need
 _OF_BORDER = 0.99  # of the largest stable gains, so that they are still stable in three digits
+_LATE = 1.5  # periods
 _DAMPING, _HOLD = "controller.safe.damping", "controller.safe.hold"
 
 
@@ -134,7 +135,8 @@ def _remedy(scene: Scene, brake: Brake, moving: Array, reading: Array) -> str:
     both = (moving[:, None] + reading).reshape(-1, 6)
     share = _OF_FORCE * slow.share(both, scene.scenario.robot.force_limit)
     rate = float(below(min(share, fastest_pole(brake) / fastest_pole(slow)), 2))
-    way = float(np.abs(brake.rates(moving)).max()) / (math.e * rate)  # at most: of critically damped axes
+    # of critically damped axes, after the time by which differences of readings and the tick are late
+    way = float(np.abs(brake.rates(moving)).max()) * (1.0 / (math.e * rate) + _LATE * brake.period)
     if way > scene.stroke:
         return (
             f"Gains that need less stop the legs within {quantity(way, units.coordinate)}, and the stroke has "
