@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 import hexservo as hs
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check_positions import of_positions
-from hexservo.findings.check_sag import fitted_integral, sag_of
+from hexservo.findings.check_sag import fitted_integral, of_sag, sag_of
 
 BAND, INTEGRAL = "controller.tracking.band", "controller.tracking.integral"
 OF_BAND = "controller.tracking.band: the integral begins beyond twice the band"
@@ -116,3 +117,25 @@ def test_an_own_integral_within_its_margin_stays() -> None:
         fitted = fitted_integral(scene_of(scenario), sag)
         assert fitted is not None
         assert (fitted[0] == integral) == kept
+
+
+@pytest.mark.parametrize("feedback", [0.3, 1.0])
+def test_a_feedback_whose_commands_do_not_hold_the_weight_is_named(feedback: float) -> None:
+    """The command is limited to a distance from the measured legs that grows with the speed limit: runs sink below."""
+
+    def limited(speed: float) -> tuple[list[str], float]:
+        scenario = soft(feedback=feedback).updated({"actuators.position.speed_limit": speed})
+        found = [words for words in of_sag(scene_of(scenario)) if "sinks" in words]
+        return found, ended(scenario)["final_error"]
+
+    (words,), sunk = limited(0.02)
+    least = float(re.findall(r"a speed limit of ([\d.]+) mm/s or more", words)[0]) * 1e-3
+    assert sunk > 40.0
+    (_,), sinks = limited(0.95 * least)
+    assert limited(least)[0] == []
+    free, rests = limited(1.05 * least)
+    assert free == []
+    sag = sag_of(scene_of(soft(feedback=feedback)))
+    assert sag is not None
+    assert rests == pytest.approx(sag.pixels, rel=0.1)
+    assert sinks > 2.0 * rests

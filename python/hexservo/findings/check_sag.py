@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -16,6 +17,7 @@ from hexservo.scenario.arrays import Array
 from hexservo.scenario.laws import Tracking
 from hexservo.scenario.wording import above, below, number, quantity
 
+_OF_LEAD = 0.61  # of the lead of legs at their speed limit: kReach of target_tracking.hpp
 _OF_BAND = 0.25  # of the settling band, by which errors within the band of the integral move the image
 
 
@@ -27,6 +29,7 @@ class Sag:
     shift: Array  # (6,) [m; rad], by which the platform is off
     pixels: float  # largest coordinate of the image error [px]
     certain: float  # the same where friction takes its part of the weight
+    lead: float  # of a command to the leg at rest that needs most, for the weight beyond the friction, as `legs`
     jacobian: Array  # (2p, 6) of the image at the goal [px/m; px/rad]
 
     def begins(self, band: Array) -> bool:
@@ -35,12 +38,24 @@ class Sag:
 
 
 def of_sag(scene: Scene) -> Iterator[str]:
-    """Yield a sentence for motors that rest outside the settling band by the weight that they carry."""
+    """Yield a sentence for motors that rest outside the settling band by the weight that they carry, or sink by it."""
     sag = sag_of(scene)
-    if sag is None or sag.certain <= scene.band:
+    if sag is None:
         return
     gains = scene.scenario.controller.gains
     assert isinstance(gains, Tracking)
+    reach = _reach(scene, gains)
+    if sag.lead > reach:
+        unit, rate = scene.units.coordinate, scene.units.rate
+        yield (
+            f"controller.tracking.feedback: the weight at the goal needs a command {quantity(sag.lead, unit)} beside a "
+            f"leg (its force over actuators.motor.kp), and with a feedback the law commands at most "
+            f"{quantity(reach, unit)} beside the measured one (actuators.position.speed_limit), so that the platform "
+            f"sinks; take a larger kp, a speed limit of {quantity(_limit_for(scene, sag.lead), rate)} or more, or a "
+            "feedback of 0"
+        )
+    if sag.lead > reach or sag.certain <= scene.band:
+        return
     rest = (
         f"so that the platform rests about {number(sag.pixels, 2)} px from the goal, outside of {number(scene.band)} px"
     )
@@ -61,6 +76,23 @@ def of_sag(scene: Scene) -> Iterator[str]:
             f"the platform by {both(sag.shift)} only (a leg by {off}, its force over actuators.motor.kp), {rest}; take "
             + ("a larger actuators.motor.kp" if fitted is None else f"a band of {both(fitted[1])}")
         )
+
+
+def _reach(scene: Scene, gains: Tracking) -> float:
+    """Return how far from the measured legs the law commands them with a feedback [m], of cranks [rad]; or inf."""
+    limit = scene.scenario.actuators.position.speed_limit
+    return np.inf if gains.feedback == 0.0 or limit is None else limit * _lead_time(scene)
+
+
+def _limit_for(scene: Scene, needed: float) -> float:
+    """Return the speed limit with which the law commands so far from the legs, to two digits."""
+    return float(above(needed / _lead_time(scene), 2))
+
+
+def _lead_time(scene: Scene) -> float:
+    response = scene.scenario.actuators.position
+    lag = response.damping / (math.pi * response.bandwidth)  # 2 zeta/w
+    return _OF_LEAD * lag + scene.scenario.simulation.step
 
 
 def both(motion: Array) -> str:
@@ -89,7 +121,8 @@ def sag_of(scene: Scene) -> Sag | None:
     map_ = scene.wrench_maps(view.pose)
     shift, certain = (np.asarray(np.linalg.solve(map_.T, each)) for each in (rest.sag, rest.certain))
     pixels = [float(np.abs(view.jacobian @ each).max()) for each in (shift, certain)]
-    return Sag(rest.sag, shift, pixels[0], pixels[1], view.jacobian)
+    lead = float(np.abs(rest.certain).max()) * (1.0 + gains.feedback)
+    return Sag(rest.sag, shift, pixels[0], pixels[1], lead, view.jacobian)
 
 
 def fitted_integral(scene: Scene, sag: Sag) -> tuple[float, Array] | None:
