@@ -334,4 +334,4 @@ def test_motors_weaker_than_their_friction_need_a_larger_limit() -> None:
     assert finding.remedy is not None
     assert finding.remedy.works
     assert finding.remedy.changes["robot.force_limit"] > 0.12
-    assert "A leg is at its torque limit of 0.03 N m for" in " ".join(diagnosis.section().sentences)
+    assert "A leg is at its torque limit of 0.03 N m in" in " ".join(diagnosis.section().sentences)
