@@ -85,13 +85,21 @@ def load(scenario: str, settings: list[str], camera: str | None = None, *, one_o
 
     A key that both change is that of --set. Of a scenario that is one of several, errors name it.
     """
-    return load_as_written(scenario, settings, camera, one_of_several=one_of_several)[0]
+    return _read(scenario, settings, camera, one_of_several=one_of_several)[0]
 
 
 def load_as_written(
-    scenario: str, settings: list[str], camera: str | None = None, *, one_of_several: bool = False
+    scenario: str, settings: list[str], camera: str | None = None
 ) -> tuple[hs.Scenario, dict[str, object]]:
     """Load a scenario as `load`, and return tag, grid and goal pose that were read into its points and features."""
+    loaded, document, changes = _read(scenario, settings, camera)
+    return loaded, _read_into_others(document, changes, loaded)
+
+
+def _read(
+    scenario: str, settings: list[str], camera: str | None, *, one_of_several: bool = False
+) -> tuple[hs.Scenario, Document, dict[str, object]]:
+    """Return a scenario, the document that it is of, and the changes of its keys."""
     from hexservo.scenario.scenario import read_document
 
     document = _read_standard_input() if scenario == "-" else read_document(scenario)
@@ -111,7 +119,7 @@ def load_as_written(
         raise hs.ScenarioError(problems, of_scenario + " and ".join(options))
     if camera is not None:
         _warn_of_border(camera, document, loaded)
-    return loaded, _read_into_others(document, changes, loaded)
+    return loaded, document, changes
 
 
 def _read_into_others(document: Document, changes: dict[str, object], loaded: hs.Scenario) -> dict[str, object]:

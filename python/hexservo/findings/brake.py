@@ -11,6 +11,7 @@ from hexservo.findings.analysis.linear_law import linear_plant
 from hexservo.findings.analysis.linear_loop import Clock, SampledLoop
 from hexservo.findings.analysis.loop_of_scenario import actuation_of, quiet
 from hexservo.findings.analysis.scene import Scene
+from hexservo.findings.bisection import last_that_holds
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import core_parameters, reading_ticks
 
@@ -164,10 +165,4 @@ class BrakeLoop:
             above, share = share, 0.5 * share
             if share < _LEAST:
                 return None
-        for _ in range(_HALVES):
-            middle = 0.5 * (share + above)
-            if stable(middle):
-                share = middle
-            else:
-                above = middle
-        return share
+        return last_that_holds(stable, share, above, _HALVES)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +10,8 @@ import numpy as np
 from hexservo.findings.analysis.linear_loop import BORDER, Clock, SampledLoop
 from hexservo.findings.analysis.loop_of_scenario import NotApplicableError, clock_of, loop_at_home
 from hexservo.findings.analysis.scene import Scene
-from hexservo.scenario.arrays import Array
+from hexservo.findings.bisection import last_that_holds
+from hexservo.findings.home_loop import adapting_matrix
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.laws import laws_with
@@ -51,7 +52,7 @@ def of_adaptation(scene: Scene) -> Iterator[str]:
     without = "where kv does not hold it" if np.any(scenario.controller.gains.kv) else "about rest"
     fits = f"{key}.auto.bandwidth fits one"
     if not oscillates(_LEAST):
-        factor = _largest(oscillates)
+        factor = last_that_holds(lambda drive: not oscillates(drive), _LEAST, 1.0, _HALVINGS, logarithmic=True)
         drive = np.unique(factor * np.asarray(value_at(scenario, f"{key}.drive"), dtype=float))
         value = f", {below(float(drive[0]))} 1/s" if len(drive) == 1 else ""
         own = f"{number(float(np.max(value_at(scenario, f'{key}.drive'))))} 1/s"
@@ -60,7 +61,9 @@ def of_adaptation(scene: Scene) -> Iterator[str]:
             f"fuzzy systems integrate too fast; it is stable with up to {below(factor)} times this drive{value}; {fits}"
         )
         return
-    factor = _largest(lambda adaptation: oscillates(1.0, adaptation))
+    factor = last_that_holds(
+        lambda adaptation: not oscillates(1.0, adaptation), _LEAST, 1.0, _HALVINGS, logarithmic=True
+    )
     yield (
         f"{key}.fuzzy.adaptation: with this adaptation the linear loop oscillates {without}, since the fuzzy systems "
         f"learn too fast; it is stable from {number(1.0 / factor)} times these values on, with which they learn more "
@@ -72,30 +75,10 @@ def _oscillates(loop: SampledLoop, clock: Clock | None) -> bool:
     """Return whether a mode of a loop grows that is no drift (real, and positive); without a clock, in no ticks."""
     with np.errstate(over="ignore", invalid="ignore"):
         if clock is None:
-            exponents = np.linalg.eigvals(_continuous(loop))
+            exponents = np.linalg.eigvals(adapting_matrix(loop, loop.acceleration, loop.tick))
             return bool(((exponents.real > (BORDER - 1.0) / loop.tick) & (np.abs(exponents.imag) > 0.0)).any())
         try:
             values = loop.multipliers(clock)
         except np.linalg.LinAlgError:  # numbers overflow
             return True
     return bool(((np.abs(values) > BORDER) & ((np.abs(values.imag) > 1e-9) | (values.real < 0.0))).any())
-
-
-def _continuous(loop: SampledLoop) -> Array:
-    """Return the loop's state matrix in continuous time, of x, v and s, with true images and sensors."""
-    n, m = len(loop.acceleration), len(loop.axes)
-    taken = np.zeros((n, m))
-    taken[list(loop.axes), range(m)] = -1.0
-    frame, drive = loop.frame[:, :n] + loop.pose, loop.drive_frame[:, :n] + loop.drive_pose
-    pushed = loop.acceleration @ np.hstack([frame, loop.twist, taken])
-    learned = np.hstack([drive, loop.drive_twist, np.diag(loop.decay - 1.0)]) / loop.tick
-    return np.vstack([np.hstack([np.zeros((n, n)), np.eye(n), np.zeros((n, m))]), pushed, learned])
-
-
-def _largest(oscillates: Callable[[float], bool]) -> float:
-    """Return the largest factor below which nothing oscillates, by halving its logarithm."""
-    low, high = np.log(_LEAST), 0.0
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        low, high = (low, middle) if oscillates(float(np.exp(middle))) else (middle, high)
-    return float(np.exp(low))

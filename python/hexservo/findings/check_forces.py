@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene
+from hexservo.findings.bisection import last_that_holds
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.fitted import auto_of
@@ -84,6 +85,7 @@ def of_written_forces(scene: Scene) -> Iterator[str]:
     yield f"{key}: the law {_needed(scene, forces)}; {remedy}"
 
 
+@lru_cache(maxsize=8)  # several sentences ask
 def start_forces(scene: Scene) -> StartForces:
     """Return the leg forces of the first tick, and how far noise of a frame and of the joints' readings moves them.
 
@@ -160,10 +162,7 @@ def _largest_bandwidth(scene: Scene, bandwidth: float) -> float:
             break
     else:
         return 0.0
-    for _ in range(_BISECTIONS):
-        middle = math.sqrt(most * least)
-        most, least = (middle, least) if enough(middle) else (most, middle)
-    return most
+    return last_that_holds(enough, most, least, _BISECTIONS, logarithmic=True)
 
 
 def _cause(scene: Scene) -> str:

@@ -14,8 +14,9 @@ from hexservo.findings.analysis.loop_of_scenario import side_of_target
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.check_target import leaves_reach
 from hexservo.findings.target_path import moving_keys, path_at
-from hexservo.findings.tracking_runs import long_enough
+from hexservo.findings.tracking_runs import MOVED, RUNS, long_enough, seeds_of_runs
 from hexservo.run.batch import simulate_batch, whole
+from hexservo.run.metrics import is_settled
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.laws import Tracking
@@ -24,9 +25,7 @@ from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number, quantity
 from hexservo.scenario.yaml import ScenarioError
 
-_RUNS = 4  # with different noise
 _MOST_STEPS = 100_000  # of a run
-_MOVED = 1.2  # times the error before a target at rest, above which that of a run is of the motion
 _AT_REST = {"target.motion": {"kind": "none"}, "base_motion": {"kind": "none"}, "target.frame": "base"}
 
 
@@ -37,7 +36,7 @@ class _Late:
     scenario: Scenario
     error: float  # [px], largest of a coordinate of the features in the second half, the median; inf where most end
     largest: float  # [px], likewise of all that do not end early
-    unsettled: int  # of `_RUNS`
+    unsettled: int  # of `RUNS`
     outcome: str  # of the first that ended early, or completed
 
 
@@ -71,7 +70,7 @@ def _of_rest(scene: Scene, goal: GoalPose, late: _Late) -> str:
         else f"are not settled within {quantity(late.scenario.simulation.duration, 's')}: up to "
         f"{number(late.largest, 2)} px from it in their second half, and metrics.band is {number(scene.band)} px"
     )
-    count = "" if late.unsettled == _RUNS else f"{late.unsettled} of {_RUNS} "
+    count = "" if late.unsettled == RUNS else f"{late.unsettled} of {RUNS} "
     return (
         f"controller.law: {count}runs of {scene.scenario.controller.law} that begin at the goal before a target at "
         f"rest {found}; {_named(goal)}"
@@ -80,7 +79,7 @@ def _of_rest(scene: Scene, goal: GoalPose, late: _Late) -> str:
 
 def _of_motion(scene: Scene, goal: GoalPose, resting: _Late, moving: _Late) -> Iterator[str]:
     left = moving.error
-    if not max(scene.band, _MOVED * resting.error) < left:
+    if not max(scene.band, MOVED * resting.error) < left:
         return
     keys, law = " and ".join(moving_keys(scene.scenario)), scene.scenario.controller.law
     if not math.isfinite(left):
@@ -120,12 +119,13 @@ def _short(scenario: Scenario) -> Scenario:
 
 
 def _late(scenario: Scenario) -> _Late:
-    seeds = np.asarray(scenario.seed + np.arange(_RUNS))
-    batch = whole(simulate_batch(scenario, {"seed": seeds}, log="trajectory", metrics=("settling_time",)))
+    batch = whole(
+        simulate_batch(scenario, {"seed": seeds_of_runs(scenario)}, log="trajectory", metrics=("settling_time",))
+    )
     features = batch.samples["feature_error"]
     ended = batch.outcome != "completed"
     errors = np.where(ended, np.inf, np.abs(_late_half(np.nan_to_num(features, nan=np.inf))).max(axis=(1, 2)))
-    unsettled = ended | np.isnan(batch.metrics["settling_time"])
+    unsettled = ~is_settled(batch.outcome, batch.metrics["settling_time"])
     first = str(batch.outcome[ended][0]) if ended.any() else "completed"
     largest = float(errors[~ended].max(initial=0.0))
     return _Late(scenario, float(np.median(errors)), largest, int(unsettled.sum()), first)

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from hexservo.findings.bisection import last_that_holds
 from hexservo.scenario.arrays import Complex
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.laws import LAWS
@@ -73,11 +74,9 @@ def of_step(scenario: Scenario, poles: Complex) -> Iterator[str]:
     decaying = poles[poles.real <= _ROUNDED * np.abs(poles)]
     if scenario.simulation.mode == SAMPLED_MODE or not _diverges(decaying, scenario.simulation.step):
         return
-    longest, diverges = 0.0, scenario.simulation.step
-    for _ in range(_HALVES):
-        middle = 0.5 * (longest + diverges)
-        longest, diverges = (longest, middle) if _diverges(decaying, middle) else (middle, diverges)
-    step, constant = scenario.simulation.step, _shortest_time(float(np.abs(decaying).max()))
+    step = scenario.simulation.step
+    longest = last_that_holds(lambda shorter: not _diverges(decaying, shorter), 0.0, step, _HALVES)
+    constant = _shortest_time(float(np.abs(decaying).max()))
     yield (
         f"simulation.step: a step of {quantity(step, 's')} is so long for the gains' shortest time constant, "
         f"{quantity(constant, 's')}, that the integration of the run diverges; take at most "

@@ -9,7 +9,7 @@ from typing import Any
 
 from hexservo.findings.analysis.scene import Scene, scene_of
 from hexservo.findings.check_gains import OF_SERVO_RATE
-from hexservo.findings.tracking_runs import BANDWIDTH, CERTAINTY, LIMITS, NOISE, Following, following_of
+from hexservo.findings.tracking_runs import BANDWIDTH, CERTAINTY, LIMITS, MOVED, NOISE, Following, following_of
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.laws import Tracking
 from hexservo.scenario.scenario import Scenario
@@ -17,7 +17,6 @@ from hexservo.scenario.wording import number, quantity
 
 _HELPS = 0.8  # of an error that a change has to leave at most, to be named
 _ALIKE = 1.25  # times the least error, up to which a change of fewer settings is named in its place
-_MOVED = 1.2  # times the error before a target at rest, above which that of a run is of the motion
 _BANDWIDTHS = (0.125, 0.25, 0.5, 2.0, 4.0)  # times that of the scenario
 _PERIODS = 2.0  # of a bandwidth, that a run has at least
 _KEEPS = 0.9  # of a limit, that a slower motion takes
@@ -86,7 +85,7 @@ def _limits(scenario: Scenario) -> dict[str, float]:
 
 def _matters(following: Following, now: float) -> bool:
     """Return whether an error [px] is beyond the band, and of the motion; a run that ends early is no matter of it."""
-    return max(following.scene.band, _MOVED * following.resting) < now < math.inf
+    return max(following.scene.band, MOVED * following.resting) < now < math.inf
 
 
 def noise_helps(scene: Scene, noise: float) -> bool:

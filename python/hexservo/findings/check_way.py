@@ -12,6 +12,7 @@ from hexservo import _core
 from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene
+from hexservo.findings.bisection import last_that_holds
 from hexservo.scenario.laws import Tracking
 from hexservo.scenario.motion import moves
 from hexservo.scenario.wording import number, quantity
@@ -121,9 +122,7 @@ def least_times(scene: Scene, way: Way) -> dict[str, float]:
         if response.acceleration_limit is not None:
             times["actuators.position.acceleration_limit"] = math.sqrt(2.0 * way.travel / response.acceleration_limit)
     if isinstance(gains, Tracking) and way.share > 0.0:
-        low, high = 0.0, 100.0  # by halves: a run's check does not wait for SciPy's Lambert W
-        for _ in range(60):
-            middle = (low + high) / 2.0
-            low, high = (middle, high) if (1.0 + middle) * math.exp(-middle) > way.share else (low, middle)
-        times["controller.tracking.bandwidth"] = low / (2.0 * math.pi * gains.bandwidth)
+        # by halves: a run's check does not wait for SciPy's Lambert W
+        turned = last_that_holds(lambda turn: (1.0 + turn) * math.exp(-turn) > way.share, 0.0, 100.0, 60)
+        times["controller.tracking.bandwidth"] = turned / (2.0 * math.pi * gains.bandwidth)
     return times

@@ -7,7 +7,9 @@ import math
 
 import numpy as np
 
+from hexservo.findings.analysis.drift_rates import exponential
 from hexservo.findings.analysis.linear_law import LinearLaw, NotFiniteError, linear_law, linear_plant
+from hexservo.findings.analysis.linear_loop import SampledLoop
 from hexservo.findings.analysis.loop_of_scenario import quiet, rates_without_mass
 from hexservo.findings.analysis.scene import Scene, scene_of
 from hexservo.findings.check_keys import has_slope
@@ -70,7 +72,11 @@ def least_image_error(scene: Scene) -> float:
 
 
 def _least_share(state_matrix: Array, state: Array, jacobian: Array, duration: float) -> float:
-    step = _propagated(state_matrix, duration / _SAMPLES)
+    with np.errstate(over="ignore", invalid="ignore"):
+        generator = duration / _SAMPLES * state_matrix
+        if not np.isfinite(np.abs(generator).sum(axis=1)).all():
+            return math.nan
+        step = exponential(generator)
     errors = [float(np.abs(jacobian @ state[:6]).max())]
     with np.errstate(over="ignore", invalid="ignore"):  # of loops that grow
         for _ in range(_SAMPLES):
@@ -88,28 +94,27 @@ def _matrix(scene: Scene, *, smooth: bool, adapts: bool) -> Array:
         return rates_without_mass(scene.scenario, scene.home)
     calm = on_pinhole(quiet(scene.scenario))  # the linear law is of features
     law = linear_law(calm, scene_of(calm), scene.home, smooth=smooth)
-    push = linear_plant(calm, scene.home).acceleration
+    whole = adapting_matrix(law, linear_plant(calm, scene.home).acceleration, calm.simulation.step)
+    return whole if adapts else whole[:12, :12]
+
+
+def adapting_matrix(law: LinearLaw | SampledLoop, push: Array, tick: float) -> Array:
+    """Return the state matrix of law and plant in continuous time, with true images and sensors [1/s].
+
+    Over displacement, twist and the outputs of the fuzzy systems that adapt.
+
+    Parameters
+    ----------
+    law
+        Linear, of a platform with six degrees of freedom.
+    push
+        Acceleration by a wrench, (6, 6).
+    tick
+        Servo period [s], in which the law's weights move by its `drive_frame`, `drive_pose` and `drive_twist`.
+    """
     by_pose, by_twist = push @ (law.frame[:, :6] + law.pose), push @ law.twist
     motion = np.block([[np.zeros((6, 6)), np.eye(6)], [by_pose, by_twist]])
-    return _adapting(motion, law, push, calm.simulation.step) if adapts else np.asarray(motion)
-
-
-def _adapting(motion: Array, law: LinearLaw, push: Array, tick: float) -> Array:
     axes = list(law.axes)
     outputs = np.vstack([np.zeros((6, len(axes))), -push[:, axes]])
     driven = np.hstack([law.drive_frame[:, :6] + law.drive_pose, law.drive_twist]) / tick
     return np.block([[motion, outputs], [driven, np.diag((law.decay - 1.0) / tick)]])
-
-
-def _propagated(matrix: Array, time: float) -> Array:
-    """Return the matrix exponential, by steps of fourth order that are fine for its largest row sum."""
-    size = time * float(np.abs(matrix).sum(axis=1).max())
-    if not math.isfinite(size):
-        return np.full_like(matrix, np.nan)
-    halvings = max(0, math.ceil(math.log2(max(8.0 * size, 1.0))))
-    step, unit = matrix * time / 2.0**halvings, np.eye(len(matrix))
-    found = unit + step @ (unit + step / 2.0 @ (unit + step / 3.0 @ (unit + step / 4.0)))
-    with np.errstate(over="ignore", invalid="ignore"):
-        for _ in range(halvings):
-            found = found @ found
-    return np.asarray(found)

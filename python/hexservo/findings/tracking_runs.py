@@ -24,7 +24,12 @@ from hexservo.scenario.yaml import ScenarioError
 CERTAINTY, BANDWIDTH, NOISE = (f"controller.tracking.{key}" for key in ("certainty", "bandwidth", "noise"))
 LIMITS = ("actuators.position.speed_limit", "actuators.position.acceleration_limit")
 
-_RUNS = 4  # with different noise
+RUNS = 4
+"""Runs with different noise."""
+
+MOVED = 1.2
+"""Times the error before a target at rest, above which that of a run is of the target's motion."""
+
 _LONGEST = 20.0  # [s] of a motion that are looked at
 _PERIODS = 3.0  # of a sinusoid, after the beginning
 _BEGINNING = 3.0  # [s], until the filter is as after many frames
@@ -118,13 +123,13 @@ class Following:
         try:
             scenario = self.scenario.updated(dict(others))
         except ScenarioError:
-            return np.full((len(settings), _RUNS), np.inf)
+            return np.full((len(settings), RUNS), np.inf)
         variations = {
-            key: np.repeat([float(changes.get(key, value_at(scenario, key))) for changes in settings], _RUNS)
+            key: np.repeat([float(changes.get(key, value_at(scenario, key))) for changes in settings], RUNS)
             for key in (CERTAINTY, BANDWIDTH, NOISE)
         }
-        batch = _run(scenario, {**variations, "seed": np.tile(_seeds(scenario), len(settings))})
-        return _largest(self.scene, batch, self.since).reshape(-1, _RUNS)
+        batch = _run(scenario, {**variations, "seed": np.tile(seeds_of_runs(scenario), len(settings))})
+        return _largest(self.scene, batch, self.since).reshape(-1, RUNS)
 
     @property
     def _duration(self) -> float:
@@ -162,7 +167,7 @@ def following_of(scene: Scene) -> Following | None:
         "simulation.log_every": 1,
         **dict.fromkeys(LIMITS),  # a slow way to the goal is not what is looked at
     }
-    before = _run(scenario.updated(waits), {"seed": _seeds(scenario)})
+    before = _run(scenario.updated(waits), {"seed": seeds_of_runs(scenario)})
     resting = _largest(scene, before, settles - min(_BEGINNING, settles / 2.0))
     if not np.isfinite(resting).all():
         return None
@@ -197,8 +202,9 @@ def _ticks(scenario: Scenario) -> Array:
     return np.arange(0.0, scenario.simulation.duration, scenario.simulation.step)
 
 
-def _seeds(scenario: Scenario) -> Array:
-    return np.asarray(scenario.seed + np.arange(_RUNS))
+def seeds_of_runs(scenario: Scenario) -> Array:
+    """Return the seeds of some runs of a scenario with different noise, (n,)."""
+    return np.asarray(scenario.seed + np.arange(RUNS))
 
 
 def _directs(scenario: Scenario) -> bool:

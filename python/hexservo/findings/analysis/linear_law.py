@@ -14,6 +14,7 @@ from hexservo import _core
 from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene, View, scene_of
+from hexservo.findings.caused import caused_by
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.scenario import Scenario
@@ -340,7 +341,4 @@ def linear_plant(scenario: Scenario, pose: Poses) -> LinearPlant:
 
 def acceleration_by_wrench(probe: _core.Probe, pose: Poses) -> Array:
     """Return the acceleration of the actual platform by a wrench at rest, (6, 6): the inverse of its inertia."""
-    wrenches = np.vstack([np.zeros(6), np.eye(6)])  # affine in the wrench: differences are exact
-    poses = (np.tile(pose.position, (7, 1)), np.tile(pose.quaternion, (7, 1)))
-    given = probe.acceleration(*poses, np.zeros((7, 6)), wrenches)
-    return np.asarray((given[1:] - given[0]).T)
+    return np.asarray(caused_by(probe, pose.rows.position, pose.rows.quaternion, np.eye(6))[0])

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hexservo import _core
+from hexservo.findings.analysis.conditioning import frames_noise
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.diagnosis.criterion import Judgement, Record
 from hexservo.findings.diagnosis.goal import pixels_per_metre, seen_from_home
@@ -19,7 +20,7 @@ from hexservo.run.leg_limits import LimitUse, limits_of_motion, most_used
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.leg_units import leg_units, stroke_length
 from hexservo.scenario.parameters import frame_period, lost_frames_wait
-from hexservo.scenario.pixels import desired_features, feature_noise, points_outside
+from hexservo.scenario.pixels import desired_features, points_outside
 from hexservo.scenario.wording import number, quantity
 
 _TAIL = 0.25  # the last part of a run, in which it rests or does not
@@ -204,7 +205,7 @@ def _late_camera(case: Case, record: Record, judgement: Judgement) -> Signature:
 
 def _poor_image(case: Case, record: Record, judgement: Judgement) -> Signature:
     worst = pixels_per_metre(*seen_from_home(case.scenario))
-    noise = feature_noise(case.scenario.camera) if case.scenario.simulation.mode == "sampled" else 0.0
+    noise = frames_noise(case.scenario)
     wander = noise / worst
     sentence = f"In the least observable direction 1 px is {number(1e3 / worst)} mm at the target's distance"
     if noise:
