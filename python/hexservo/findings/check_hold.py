@@ -1,4 +1,4 @@
-"""What runs that begin at the goal leave of it, before a target at rest and before one that moves."""
+"""What runs that begin near the goal leave of it before a target at rest, and at the goal before one that moves."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ from hexservo.scenario.wording import number, quantity
 from hexservo.scenario.yaml import ScenarioError
 
 _MOST_STEPS = 100_000  # of a run
+_AWAY = 2.0  # bands, by which runs begin beside the goal in the image, so that an equilibrium that is unstable shows
 _AT_REST = {"target.motion": {"kind": "none"}, "base_motion": {"kind": "none"}, "target.frame": "base"}
 
 
@@ -37,33 +38,56 @@ class _Late:
     error: float  # [px], largest of a coordinate of the features in the second half, the median; inf where most end
     largest: float  # [px], likewise of all that do not end early
     unsettled: int  # of `RUNS`
+    first: int  # of those that are not settled, or 0
     outcome: str  # of the first that ended early, or completed
 
 
 def of_hold(scene: Scene) -> Iterator[str]:
-    """Yield a sentence, in sampled mode, where runs that begin at the goal do not keep it.
+    """Yield a sentence where runs that begin near the goal do not settle, or, in sampled mode, lose one that moves.
 
-    Before a target at rest, and, where they keep that, before one that moves. At most 20 s and 100 000 steps of a
-    run are looked at. The law `tracking` before a target in motion has `check_tracking`.
+    Before a target at rest from poses about the goal that show its image two bands off it, or from the goal where the
+    legs do not reach these; before one that moves, where they keep that, from the goal. At most 20 s and 100 000 steps
+    of a run are looked at. The law `tracking` before a target in motion has `check_tracking`.
     """
     scenario = scene.scenario
-    goals = find_goals(scene) if scenario.simulation.mode == SAMPLED_MODE and scene.has_points else None
+    goals = find_goals(scene) if scene.has_points else None
     if goals is None or not goals.reachable:
         return
     keys = moving_keys(scenario)
     begin = {"simulation.start.pose": goals.best.displacement.tolist(), "simulation.start.twist": [0.0] * 6}
     try:
         runs = _short(scenario.updated(begin))
-        resting = _late(runs.updated(_AT_REST) if keys else runs)
-        if resting.unsettled:
-            yield _of_rest(scene, goals.best, resting)
-        elif keys and not isinstance(scenario.controller.gains, Tracking) and leaves_reach(scene) is None:
-            yield from _of_motion(scene, goals.best, resting, _late(runs))
+        at_rest = runs.updated(_AT_REST) if keys else runs
+        starts = _beside(scene, goals.best)
+        near = _late(at_rest, starts)
+        if near.unsettled:
+            yield _of_rest(scene, starts[near.first], near)
+        elif (
+            keys
+            and scenario.simulation.mode == SAMPLED_MODE
+            and not isinstance(scenario.controller.gains, Tracking)
+            and leaves_reach(scene) is None
+        ):
+            yield from _of_motion(scene, goals.best, _late(at_rest), _late(runs))
     except ScenarioError:
         return  # the goal is no start: `check` names why
 
 
-def _of_rest(scene: Scene, goal: GoalPose, late: _Late) -> str:
+def _beside(scene: Scene, goal: GoalPose) -> Array:
+    """Return displacements from home (`RUNS`, 6) [m; rad] of starts beside a goal; the goal's where none is reached.
+
+    Directions are drawn with a fixed seed: translations and rotations move the image of the target alike.
+    """
+    moves = np.random.default_rng(0).normal(size=(RUNS, 6))
+    moves[:, :3] *= goal.view.mean_depth
+    moves *= _AWAY * scene.band / np.abs(moves @ goal.view.jacobian.T).max(axis=1, keepdims=True)
+    poses = goal.view.pose.moved(moves)
+    return np.where(
+        scene.reachable(poses)[:, None], poses.displacement_from(scene.home), np.asarray(goal.displacement)
+    )
+
+
+def _of_rest(scene: Scene, start: Array, late: _Late) -> str:
     found = (
         f"end early ({late.outcome})"
         if late.outcome != "completed"
@@ -71,9 +95,11 @@ def _of_rest(scene: Scene, goal: GoalPose, late: _Late) -> str:
         f"{number(late.largest, 2)} px from it in their second half, and metrics.band is {number(scene.band)} px"
     )
     count = "" if late.unsettled == RUNS else f"{late.unsettled} of {RUNS} "
+    begin = ", ".join(number(float(f"{x:.6g}"), 6) for x in start)
     return (
-        f"controller.law: {count}runs of {scene.scenario.controller.law} that begin at the goal before a target at "
-        f"rest {found}; {_named(goal)}"
+        f"controller.law: {count}runs of {scene.scenario.controller.law} that begin within "
+        f"{number(_AWAY * scene.band)} px of the goal before a target at rest {found}; hexservo diagnose names the "
+        f"cause, with simulation.start.pose: [{begin}] for such a run"
     )
 
 
@@ -102,12 +128,6 @@ def _of_motion(scene: Scene, goal: GoalPose, resting: _Late, moving: _Late) -> I
     )
 
 
-def _named(goal: GoalPose) -> str:
-    """Return what names the cause."""
-    begin = ", ".join(number(float(f"{x:.6g}"), 6) for x in goal.displacement)
-    return f"hexservo diagnose names the cause, with simulation.start.pose: [{begin}] for such a run"
-
-
 def _short(scenario: Scenario) -> Scenario:
     """Return a scenario that lasts as long as is looked at, in whole servo periods, every sample logged."""
     scenario = long_enough(scenario)
@@ -118,17 +138,22 @@ def _short(scenario: Scenario) -> Scenario:
     return scenario.updated(changes)
 
 
-def _late(scenario: Scenario) -> _Late:
-    batch = whole(
-        simulate_batch(scenario, {"seed": seeds_of_runs(scenario)}, log="trajectory", metrics=("settling_time",))
-    )
+def _late(scenario: Scenario, starts: Array | None = None) -> _Late:
+    """Return what runs leave with different noise, which only sampled mode has, and from different starts."""
+    sampled = scenario.simulation.mode == SAMPLED_MODE
+    variations = {
+        **({"seed": seeds_of_runs(scenario)} if sampled else {}),
+        **({} if starts is None else {"simulation.start.pose": starts}),
+    }
+    batch = whole(simulate_batch(scenario, variations, log="trajectory", metrics=("settling_time",)))
     features = batch.samples["feature_error"]
     ended = batch.outcome != "completed"
     errors = np.where(ended, np.inf, np.abs(_late_half(np.nan_to_num(features, nan=np.inf))).max(axis=(1, 2)))
     unsettled = ~is_settled(batch.outcome, batch.metrics["settling_time"])
-    first = str(batch.outcome[ended][0]) if ended.any() else "completed"
+    outcome = str(batch.outcome[ended][0]) if ended.any() else "completed"
     largest = float(errors[~ended].max(initial=0.0))
-    return _Late(scenario, float(np.median(errors)), largest, int(unsettled.sum()), first)
+    first = int((ended if ended.any() else unsettled).argmax())
+    return _Late(scenario, float(np.median(errors)), largest, int(unsettled.sum()), first, outcome)
 
 
 def _late_half(samples: Array) -> Array:
