@@ -341,7 +341,9 @@ def test_a_run_ends_with_the_warnings_of_check() -> None:
     doubtful = ["paper", "--set", "metrics.band=30", "--set", "robot.mass=600"]
     run = Run("run", *doubtful, "--require-settled")
     assert run.code == 0  # for the band has the start in it, which the warning states
-    assert run.errors == Run("check", *doubtful).errors
+    found = Run("check", *doubtful).errors
+    assert run.errors == [line for line in found if not line.startswith("Warning: simulation: in the run leg")]
+    assert len(found) == len(run.errors) + 1  # what the result of `run` has in its table
     assert [line.split(": ")[1] for line in run.errors] == ["robot.force_limit", "metrics.band"]
     assert Run("run", *doubtful, "--quiet").error == ""
     early = Run("run", "paper-gravity", *SINGULAR, "--set", "metrics.dwell=9")
@@ -520,7 +522,15 @@ def test_check_says_valid(tmp_path: Path) -> None:
     file.write_text(Run("show", "paper").out, encoding="utf-8")
     run = Run("check", str(file))
     assert (run.code, run.error) == (0, "")
-    assert run.out == f'{file}: valid (scenario "paper", 5 s in steps of 1 ms)\n'
+    assert run.out == f'{file}: valid (scenario "paper", 5 s in steps of 1 ms); its run is within 2 px after 0.353 s\n'
+
+
+def test_check_states_how_the_run_ends() -> None:
+    run = Run("check", "fails-wrong-sign")
+    assert run.code == 0
+    assert run.out == 'fails-wrong-sign: valid (scenario "fails-wrong-sign", 2 s in steps of 1 ms)\n'
+    ends = "Warning: simulation: the run ends early (diverged): a feature error exceeded 10000 px at t = 0.041 s; "
+    assert ends in run.error
 
 
 def test_check_lists_every_problem(tmp_path: Path) -> None:
@@ -612,7 +622,7 @@ def test_output_fits_a_terminal(tmp_path: Path, columns: int) -> None:
     code, out = in_terminal("run", "paper-gravity", columns=columns, cwd=tmp_path)
     assert code == 0
     assert "\x1b[" in out
-    lines = CODES.sub("", out).splitlines()
+    lines = [line for line in CODES.sub("", out).splitlines() if not line.startswith("Warning: ")]  # a line each
     assert max(map(len, lines)) <= columns
     words = set(" ".join(lines).split())
     for name, (_, meaning) in SHOWN.items():

@@ -43,14 +43,15 @@ class _Late:
 
 
 def of_hold(scene: Scene) -> Iterator[str]:
-    """Yield a sentence where runs that begin near the goal do not settle, or, in sampled mode, lose one that moves.
+    """Yield a sentence where runs that begin near the goal do not settle, or lose one that moves.
 
     Before a target at rest from poses about the goal that show its image two bands off it, or from the goal where the
     legs do not reach these; before one that moves, where they keep that, from the goal. At most 20 s and 100 000 steps
     of a run are looked at. The law `tracking` before a target in motion has `check_tracking`.
     """
     scenario = scene.scenario
-    goals = find_goals(scene) if scene.has_points else None
+    acts = scene.has_points and not (scenario.simulation.mode == SAMPLED_MODE and scenario.camera.dropout == 1.0)
+    goals = find_goals(scene) if acts else None
     if goals is None or not goals.reachable:
         return
     keys = moving_keys(scenario)
@@ -62,12 +63,7 @@ def of_hold(scene: Scene) -> Iterator[str]:
         near = _late(at_rest, starts)
         if near.unsettled:
             yield _of_rest(scene, starts[near.first], near)
-        elif (
-            keys
-            and scenario.simulation.mode == SAMPLED_MODE
-            and not isinstance(scenario.controller.gains, Tracking)
-            and leaves_reach(scene) is None
-        ):
+        elif keys and not isinstance(scenario.controller.gains, Tracking) and leaves_reach(scene) is None:
             yield from _of_motion(scene, goals.best, _late(at_rest), _late(runs))
     except ScenarioError:
         return  # the goal is no start: `check` names why
