@@ -347,7 +347,7 @@ def test_a_run_ends_with_the_warnings_of_check() -> None:
     assert [line.split(": ")[1] for line in run.errors] == ["robot.force_limit", "metrics.band"]
     assert Run("run", *doubtful, "--quiet").error == ""
     early = Run("run", "paper-gravity", *SINGULAR, "--set", "metrics.dwell=9")
-    assert [line.split(":")[0] for line in early.errors] == ["Warning", "Ended early"]
+    assert [line.split(":")[0] for line in early.errors] == ["Warning", "Warning", "Ended early"]
 
 
 def test_the_check_of_a_run_does_not_wait_for_scipy() -> None:

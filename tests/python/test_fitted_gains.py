@@ -468,7 +468,9 @@ def test_the_settling_time_is_that_of_the_second_order_equation() -> None:
 
 
 def warnings_of(scenario: hs.Scenario, start: str = "controller.") -> list[str]:
-    return [sentence for sentence in unlikely(scenario) if sentence.startswith(start)]
+    """Return those of keys; what runs near the goal come to is in `test_check_hold.py`."""
+    found = [sentence for sentence in unlikely(scenario) if sentence.startswith(start)]
+    return [sentence for sentence in found if not sentence.startswith("controller.law: runs of")]
 
 
 def test_a_bandwidth_is_within_a_quarter_of_the_servo_rate_and_a_tenth_of_the_run(paper: hs.Scenario) -> None:
