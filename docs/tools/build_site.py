@@ -60,8 +60,10 @@ REFERENCE = {
     ],
     "Batches": ["simulate_batch", "BatchResult"],
     "Comparisons": ["compare", "Comparison", "ComparisonRow"],
-    "Analysis, certificate, diagnosis": [
+    "Check, analysis, certificate, diagnosis": [
         *(
+            "check",
+            "Check",
             "analyse",
             "Analysis",
             "certify",

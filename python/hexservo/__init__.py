@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from hexservo.findings.identification.log import Log, read_log
     from hexservo.findings.leg_feedback import feedback_margin, integral_margin
     from hexservo.findings.reach import Reachability, project, reachable
+    from hexservo.findings.scenario_check import Check, check
     from hexservo.report import write_report
     from hexservo.report.campaign_page import write_campaign_report
     from hexservo.run.batch import BatchResult, simulate_batch
@@ -69,6 +70,7 @@ __all__ = [
     "CampaignPlan",
     "CampaignResult",
     "Certificate",
+    "Check",
     "Comparison",
     "ComparisonRow",
     "Controller",
@@ -100,6 +102,7 @@ __all__ = [
     "campaign_names",
     "certify",
     "certify_batch",
+    "check",
     "compare",
     "diagnose",
     "estimate_rare_failures",
@@ -143,6 +146,7 @@ _MODULES = {
     "findings.identification.log": ("Log", "read_log"),
     "findings.leg_feedback": ("feedback_margin", "integral_margin"),
     "findings.reach": ("Reachability", "project", "reachable"),
+    "findings.scenario_check": ("Check", "check"),
     "report": ("write_report",),
     "report.campaign_page": ("write_campaign_report",),
     "run.batch": ("BatchResult", "simulate_batch"),

@@ -60,11 +60,11 @@ EXPECTED = {
     ],
     # which holds the goal when it comes from home, with weights that have grown
     "saturation": [f"{NEAR_GOAL.format('composite')} end early"],
-    **dict.fromkeys(
-        ("fails-gravity", "fails-spring", "fails-stiction", "paper-gravity", "unknown-payload"),
-        [f"{NEAR_GOAL.format('hybrid')} are not settled"],
-    ),
-    **dict.fromkeys(("fails-late-camera", "fails-wrong-sign"), [f"{NEAR_GOAL.format('hybrid')} end early"]),
+    **{
+        name: [f"{NEAR_GOAL.format('hybrid')} are not settled"]
+        for name in ("fails-gravity", "fails-spring", "fails-stiction", "paper-gravity", "unknown-payload")
+    },
+    **{name: [f"{NEAR_GOAL.format('hybrid')} end early"] for name in ("fails-late-camera", "fails-wrong-sign")},
     "fails-stick-slip": ["controller.law: 1 of 4 runs of resolved_rate that begin within 5.8 px of the goal"],
     **{name: ["robot.stroke: 10 m either way is"] for name in hs.scenario_names() if name.startswith("textbook-")},
 }

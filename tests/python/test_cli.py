@@ -533,6 +533,20 @@ def test_check_states_how_the_run_ends() -> None:
     assert ends in run.error
 
 
+def test_check_writes_json_and_is_strict(tmp_path: Path) -> None:
+    file = tmp_path / "check.json"
+    run = Run("check", "paper-gravity", "--json", str(file), "--strict")
+    assert run.code == 2
+    data = json.loads(file.read_text(encoding="utf-8"))
+    assert [f"Warning: {words}" for words in data["warnings"]] == run.errors
+    assert Run("check", "paper", "--strict").code == 0
+    assert json.loads(Run("check", "paper", "--json", "-").out)["warnings"] == []
+    again = Run("check", "paper", "--json", str(tmp_path))
+    assert again.code == 2
+    (tmp_path / "mine.json").write_text("{}", encoding="utf-8")
+    assert Run("check", "paper", "--json", str(tmp_path / "mine.json"), "--force").code == 2  # not a file of `check`
+
+
 def test_check_lists_every_problem(tmp_path: Path) -> None:
     file = tmp_path / "my.yaml"
     text = Run("show", "paper").out.replace("mass: 0.06", "mass: -1").replace("law: hybrid", "law: hybird")

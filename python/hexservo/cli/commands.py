@@ -251,36 +251,7 @@ def show(
         write(flat_text(chosen) if flat else text, encoding="utf-8")  # what a scenario is read with
 
 
-@app.command()
-def check(
-    scenario: ScenarioArgument,
-    settings: SettingsOption = None,
-    camera: CameraOption = None,
-) -> None:
-    """Check a scenario.
-
-    Every error is a line on standard error, and the exit code is 2; without errors it is 0. Warnings are about legal
-    but probably unintended settings, such as a weight beyond the force limit; notes list keys without effect, state
-    what the prior of a law leaves of the pose, and name a brake that is unstable or needs more than the legs have.
-    The scenario is run as well, unless it has more than a million steps: a run that ends early, does not settle, or
-    exceeds limits of the legs is a warning.
-    """
-    with errors_as_messages():
-        from hexservo.findings.check import notes, unlikely
-        from hexservo.findings.check_run import doubts_of_run, run_to_check, settled_words
-
-        chosen = load(scenario, settings or [], camera)
-        with refusals(chosen.name):
-            run = run_to_check(chosen)
-        complain(*unlikely(chosen), *(doubts_of_run(run) if run else []), head="Warning")
-        complain(*notes(chosen), head="Note")
-        simulation = chosen.simulation
-        name = "standard input" if scenario == "-" else scenario
-        settled = settled_words(run) if run else ""
-        write(
-            f'{name}: valid (scenario "{chosen.name}", {simulation.duration:.6g} s in steps of '
-            f"{simulation.step * 1e3:.6g} ms){settled and f'; its run is {settled}'}\n"
-        )
+app.command()(evidence.check)
 
 
 @app.command()

@@ -1,4 +1,4 @@
-"""Commands about evidence: ``hexservo report | certify | analyse | diagnose``."""
+"""Commands about evidence: ``hexservo report | certify | analyse | diagnose | check``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ import typer
 
 import hexservo as hs
 from hexservo.cli.terminal import (
+    BAD_INPUT,
     CameraOption,
+    ScenarioArgument,
     SettingsOption,
     complain,
     errors_as_messages,
@@ -118,6 +120,44 @@ def diagnose(
     The most likely cause comes first, with its evidence and a remedy.
     """
     _judge("diagnose", run, settings, camera, json, force, machine)
+
+
+def check(
+    scenario: ScenarioArgument,
+    settings: SettingsOption = None,
+    camera: CameraOption = None,
+    json: JsonOption = None,
+    force: ForceOption = False,
+    strict: Annotated[bool, typer.Option("--strict", help="Warnings are errors: exit code 2.")] = False,
+) -> None:
+    """Check a scenario.
+
+    Every error is a line on standard error, and the exit code is 2; without errors it is 0. Warnings are about legal
+    but probably unintended settings, such as a weight beyond the force limit; notes list keys without effect, state
+    what the prior of a law leaves of the pose, and name a brake that is unstable or needs more than the legs have.
+    The scenario is run as well, unless it has more than 200 000 steps: a run that ends early, does not settle, or
+    exceeds limits of the legs is a warning.
+    """
+    with errors_as_messages():
+        if json is not None:
+            check_json("check", json, force)
+        chosen = load(scenario, settings or [], camera)
+        with refusals(chosen.name):
+            found = hs.check(chosen)
+        if json is not None:
+            write_json("check", found.to_dict(), json, force)
+        if json != STANDARD_OUTPUT:
+            complain(*found.warnings, head="Warning")
+            complain(*found.notes, head="Note")
+            simulation = chosen.simulation
+            name = "standard input" if scenario == "-" else scenario
+            settled = found.settled and f"; its run is {found.settled}"
+            write(
+                f'{name}: valid (scenario "{chosen.name}", {simulation.duration:.6g} s in steps of '
+                f"{simulation.step * 1e3:.6g} ms){settled}\n"
+            )
+        if strict and found.warnings:
+            raise typer.Exit(BAD_INPUT)
 
 
 def _judge(

@@ -394,17 +394,15 @@ def _explain(dialogue: Dialogue, scenario: hs.Scenario) -> None:
     """Write what follows from the answers: travel along each axis, warnings and notes."""
     from hexservo.findings.analysis.scene import scene_of
     from hexservo.findings.analysis.workspace import reaches
-    from hexservo.findings.check import notes, unlikely
-    from hexservo.findings.check_run import doubts_of_run, run_to_check
 
     dialogue.say("\nWhat follows: travel from home to a leg's end or a singular pose, one direction at a time")
     axes = [(name, "mm") for name in "xyz"] + [(f"about {name}", "deg") for name in "xyz"]
     ends = [_end(reached) for reached in reaches(scene_of(scenario), np.vstack([-np.eye(6), np.eye(6)]))]
     for (label, unit), below, above in zip(axes, ends[:6], ends[6:], strict=True):
         dialogue.say(f"  {label:8s} {-below:9.4g} to {above:.4g} {unit}")
-    run = run_to_check(scenario)
-    complain(*unlikely(scenario), *(doubts_of_run(run) if run else []), head="Warning")
-    complain(*notes(scenario), head="Note")
+    found = hs.check(scenario)
+    complain(*found.warnings, head="Warning")
+    complain(*found.notes, head="Note")
 
 
 def _end(reached: Reach) -> float:

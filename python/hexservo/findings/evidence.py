@@ -146,6 +146,10 @@ class Section:
     verdict: Verdict = "open"
     data: dict[str, Any] = field(default_factory=dict)  # the findings as numbers, in SI units and pixels, for programs
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return verdict, sentences and numbers for strict JSON."""
+        return {"verdict": self.verdict, "sentences": list(self.sentences), **as_data(self.data)}
+
 
 def picked(thing: Any, names: str) -> dict[str, Any]:
     """Return attributes by their names, which blanks separate."""

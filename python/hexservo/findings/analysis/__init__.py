@@ -13,7 +13,7 @@ import numpy as np
 from hexservo.findings.analysis.loop_of_scenario import with_features, with_gains
 from hexservo.findings.analysis.not_computed import NotComputed, not_computed
 from hexservo.findings.display import Findings
-from hexservo.findings.evidence import Section, as_data
+from hexservo.findings.evidence import Section
 from hexservo.scenario.fields import described
 from hexservo.scenario.motion import moves
 from hexservo.scenario.pixels import WRONG_CAMERA, has_camera_wrong
@@ -81,8 +81,8 @@ class Analysis(Findings):
         return replace(section, sentences=(*section.sentences, *taken)) if taken else section
 
     def to_dict(self) -> dict[str, Any]:
-        """Return all numbers for strict JSON, by part, in SI units and pixels."""
-        return {section.name: as_data(section.data) for section in self.sections()}
+        """Return verdicts, sentences and all numbers for strict JSON, by part, in SI units and pixels."""
+        return {section.name: section.to_dict() for section in self.sections()}
 
 
 def analyse(

@@ -58,9 +58,9 @@ class Certificate(Findings):
         return tuple(found)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return all numbers for strict JSON, by section, in SI units and pixels."""
+        """Return verdicts, sentences and all numbers for strict JSON, by section, in SI units and pixels."""
         return {"differences": as_data(dict(self.differences))} | {
-            section.name: as_data(section.data) for section in self.sections()
+            section.name: section.to_dict() for section in self.sections()
         }
 
 

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.certificate.replay import Plant, every_step, replay_of
 from hexservo.findings.certificate.uncertainty import assumption_of, uncertainty_of
-from hexservo.findings.evidence import as_data
 from hexservo.findings.part import Part
 from hexservo.run.metrics import is_settled, metrics
 from hexservo.run.progress import reporting
@@ -76,7 +75,7 @@ class BatchCertificate(Part):
     def to_dict(self) -> dict[str, Any]:
         """Return all numbers for strict JSON, in SI units and pixels."""
         section = self.section()
-        return {section.name: as_data(section.data)}
+        return {section.name: section.to_dict()}
 
 
 def certify_batch(

@@ -128,7 +128,11 @@ class Diagnosis(Part):
         return (self.section(),)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return all numbers for strict JSON, in SI units and pixels."""
+        """Return verdict, sentences and all numbers for strict JSON, in SI units and pixels."""
+        return self.section().to_dict()
+
+    def numbers(self) -> dict[str, Any]:
+        """Return all numbers, in SI units and pixels."""
         record, judgement = self.record, self.judgement
         if record is None or judgement is None:
             return {"failed": None, "outcome": self.result.outcome, "causes": []}

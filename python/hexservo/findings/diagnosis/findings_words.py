@@ -35,7 +35,7 @@ def section(found: Diagnosis) -> Section:
     """Return sentences, a table of the causes, and the error over time with and without the first cause."""
     if found.record is None or found.judgement is None:
         return Section("diagnosis", "Diagnosis", ["The run was interrupted: there is no diagnosis."])
-    data = found.to_dict()
+    data = found.numbers()
     if not found.failed:
         if not found.warnings:
             words = [f"Nothing to diagnose: {joined(found.criteria)}."]

@@ -83,11 +83,11 @@ class Identification(Findings):
         return [*parts, changes.section()]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything as plain data, for JSON: keys, and each section's numbers."""
+        """Return everything as plain data, for JSON: keys, and each section's verdict, sentences and numbers."""
         found = {
             "changes": self.changes,
             "faults": self.faults,
-            **{section.name: section.data for section in self.sections()},
+            **{section.name: section.to_dict() for section in self.sections()},
         }
         return as_data(found)  # type: ignore[no-any-return]
 

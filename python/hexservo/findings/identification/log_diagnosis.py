@@ -8,7 +8,7 @@ from typing import Any
 from hexservo.findings.diagnosis.findings import Diagnosis
 from hexservo.findings.diagnosis.words import joined
 from hexservo.findings.display import Findings
-from hexservo.findings.evidence import Section, Verdict, as_data
+from hexservo.findings.evidence import Section, Verdict
 from hexservo.findings.identification import Identification
 from hexservo.findings.identification.frames_words import doubts
 from hexservo.findings.identification.log_end import LogEnd
@@ -38,12 +38,16 @@ class LogDiagnosis(Findings):
         return (_section(self),)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the numbers of the model's run, and of the log, for strict JSON."""
+        """Return verdict, sentences, and the numbers of the model's run and of the log, for strict JSON."""
+        return _section(self).to_dict()
+
+    def numbers(self) -> dict[str, Any]:
+        """Return the numbers of the model's run, and of the log."""
         end = self.identification.end
         ends = {**asdict(end), "settled": end.settled} if isinstance(end, LogEnd) else None
         doubtful = [{"name": part.name, "sentences": list(part.sentences)} for part in self.identification.doubtful]
         of_log = {"log": ends, "faults": self.identification.faults, "doubtful": doubtful}
-        return {**self.model.to_dict(), "failed": self.failed, **as_data(of_log)}
+        return {**self.model.numbers(), "failed": self.failed, **of_log}
 
 
 def _section(found: LogDiagnosis) -> Section:
@@ -65,7 +69,7 @@ def _section(found: LogDiagnosis) -> Section:
         keys = ", ".join(f"{key}={value:g}" for key, value in faults.items())
         words.append(f"The run of the identified model has that error: {keys}.")
     return replace(
-        of_model, sentences=[*words, *sentences], verdict=_verdict(found, of_model.verdict), data=found.to_dict()
+        of_model, sentences=[*words, *sentences], verdict=_verdict(found, of_model.verdict), data=found.numbers()
     )
 
 

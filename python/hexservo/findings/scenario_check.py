@@ -1,0 +1,103 @@
+"""The check of a scenario: doubtful settings, what has no effect, and what its run comes to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from hexservo.findings.check import notes, unlikely
+from hexservo.findings.evidence import as_data
+from hexservo.run.display import lines_below
+from hexservo.run.metrics import is_settled, metrics, since_settling, unsettled
+from hexservo.run.simulation import simulate, uninterrupted
+from hexservo.run.summary import ending
+from hexservo.scenario.fields import described
+from hexservo.scenario.scenario import require_scenario
+
+if TYPE_CHECKING:
+    from hexservo.run.result import Result
+    from hexservo.scenario.scenario import Scenario
+
+__all__ = ["Check", "check"]
+
+_MOST_STEPS = 200_000  # of a run that is looked at
+_NAMED = "hexservo diagnose names the cause"
+
+
+@described
+@dataclass(frozen=True, eq=False, repr=False)
+class Check:
+    """What is doubtful in a valid scenario. Sentences begin with the key that they are about."""
+
+    scenario: Scenario
+    warnings: tuple[str, ...]  # legal but probably unintended settings, and what the run does not reach
+    notes: tuple[str, ...]  # keys without effect, what a prior leaves of the pose, an unstable brake
+    run: Result | None  # of the scenario as written; None: it has more than 200 000 steps
+
+    @property
+    def settled(self) -> str:
+        """From when on the run is within the band, as "within 2 px after 0.353 s"; empty where it does not settle."""
+        if self.run is None or not _settles(self.run):
+            return ""
+        measured = self.scenario.metrics
+        return f"within {measured.band:g} px {since_settling(metrics(self.run), measured)}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return warnings, notes, and outcome and metrics of the run (null where it was left out) for strict JSON."""
+        run = self.run
+        of_run = None if run is None else {"outcome": run.outcome, "stop_time": run.stop_time, "metrics": metrics(run)}
+        found: dict[str, Any] = as_data(
+            {"scenario": self.scenario.name, "warnings": self.warnings, "notes": self.notes, "run": of_run}
+        )
+        return found
+
+    def __repr__(self) -> str:
+        """Return a line for each warning and note, and one for a run that settles."""
+        lines = [f"Warning: {words}" for words in self.warnings] + [f"Note: {words}" for words in self.notes]
+        lines += [f"The run is {self.settled}."] if self.settled else []
+        return lines_below(f'Check of "{self.scenario.name}"', lines or ["No warnings."], 5)
+
+
+def check(scenario: Scenario) -> Check:
+    """Check a scenario for settings that are legal and probably not meant; run it, and others near its goal.
+
+    Parameters
+    ----------
+    scenario
+        It is valid, or there were none: `load_scenario` lists what is not.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        On Ctrl-C, also while something runs.
+    TypeError
+        For anything but a `Scenario`.
+    ValueError
+        For a scenario that cannot run, as with a start beyond the legs that end a run.
+    """
+    require_scenario(scenario)
+    steps = scenario.simulation.duration / scenario.simulation.step
+    run = uninterrupted(simulate(scenario)) if steps <= _MOST_STEPS else None
+    warnings = [*unlikely(scenario), *([] if run is None else _doubts_of(run))]
+    return Check(scenario, tuple(warnings), tuple(notes(scenario)), run)
+
+
+def _doubts_of(run: Result) -> list[str]:
+    """Return a sentence for a run that ends early or does not settle, or one for each kind of limit that it exceeds.
+
+    Limits are those of a run that settles: what else goes on with one that does not, is for `diagnose`.
+    """
+    if run.outcome != "completed":
+        return [f"simulation: the run ends early ({run.outcome.replace('_', ' ')}): {ending(run)}; {_NAMED}"]
+    if not _settles(run):
+        return [f"simulation: the run does not settle: {unsettled(metrics(run), run.scenario.metrics)}; {_NAMED}"]
+    found = []
+    for kind in dict.fromkeys(event.kind for event in run.events):
+        first, *others = [event for event in run.events if event.kind == kind]
+        more = f", and {len(others)} other{'s' if len(others) > 1 else ''} do so too" if others else ""
+        found.append(f"simulation: in the run {first}{more}")
+    return found
+
+
+def _settles(run: Result) -> bool:
+    return bool(is_settled(run.outcome, metrics(run)["settling_time"]))
