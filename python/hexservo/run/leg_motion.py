@@ -111,7 +111,7 @@ def singular_passage(result: Result) -> float | None:
     for begin in range(0, len(result.time), _ROWS):
         rows = slice(begin, begin + _ROWS)
         maps = [hexapod.wrench_map(*pose) for pose in zip(result.position[rows], result.quaternion[rows], strict=True)]
-        signs = np.linalg.slogdet(np.array(maps)).sign
+        signs, _ = np.linalg.slogdet(np.array(maps))
         first = first or signs[0]
         turned = signs * first < 0.0
         if turned.any():
