@@ -56,7 +56,7 @@ void require_positive(const std::string& key, const Eigen::Matrix<double, N, 1>&
 inline void require_turn(const std::string& key, const Eigen::Matrix<double, 6, 1>& displacement) {
   const double turn = displacement.tail<3>().stableNorm();
   if (!(turn <= kLongestTurn))
-    refuse(key, "a rotation vector at most 2 pi long (radians)",
+    refuse(key, "a rotation vector at most pi long (radians)",
            words("one of ", turn, " (degrees? multiply by pi/180)"));
 }
 

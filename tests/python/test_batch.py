@@ -659,7 +659,7 @@ def test_a_dataset_shares_no_memory_with_the_batch(smooth: hs.Scenario, log: Log
         ({"simulation.log_every": [1, 2.5]}, r"^scenario 1: simulation.log_every: expected an integer .* got 2.5$"),
         (
             {"simulation.start.pose": [[0.0] * 6, [0.0] * 5 + [6.3]]},
-            r"^scenario 1: simulation.start.pose: expected a rotation vector at most 2 pi long .*, got one of 6.3 \(de",
+            r"^scenario 1: simulation.start.pose: expected a rotation vector at most pi long .*, got one of 6.3 \(de",
         ),
         ({"seed": [0, -1]}, r"^scenario 1: seed: expected an integer from 0 to 18446744073709551615, got -1$"),
         ({"seed": [0, 2**64]}, r"^scenario 1: seed: expected an integer from 0 to .*615, got 18446744073709551616$"),

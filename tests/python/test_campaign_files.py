@@ -305,7 +305,7 @@ REFUSED = [
     ),
     (
         {"vary": {"simulation.start.pose": {"uniform": [-45, 45], "each": True}}},
-        "vary.simulation.start.pose: expected a rotation vector at most 2 pi long .*, which it reaches; clip it or",
+        "vary.simulation.start.pose: expected a rotation vector at most pi long .*, which it reaches; clip it or",
     ),
     ({"vary": {"robot.payload": {"choice": [1]}}}, "expected a numeric key, got a block; name a key below it"),
     (

@@ -240,16 +240,16 @@ def test_a_tag_is_its_corners(paper: hs.Scenario) -> None:
         ({"robot.home_attitude": [0, 0, 90]}, "robot.home_attitude[2]: expected a number within +-2 pi"),
         (
             {"simulation.start.pose": [0, 0, 0, 0, 0, 6.3]},
-            "simulation.start.pose: expected a rotation vector at most 2 pi long (radians), got one of 6.3 (degrees?",
+            "simulation.start.pose: expected a rotation vector at most pi long (radians), got one of 6.3 (degrees?",
         ),
         ({"simulation.start.pose": [0, 0, 0, 4.0, -4.0, 4.0]}, "simulation.start.pose: expected a rotation vector"),
         (
             {"target.desired_features": None, "target.desired_pose": [0.004, 0, 0, 0, 0, 90]},
-            "target.desired_pose: expected a rotation vector at most 2 pi long (radians), got one of 90 (degrees?",
+            "target.desired_pose: expected a rotation vector at most pi long (radians), got one of 90 (degrees?",
         ),
         (
             {"target": {**NO_IMAGE, "tag": {"size": 0.1, "pose": [0, 0, -0.65, 0, 0, 90]}}},
-            "target.tag.pose: expected a rotation vector at most 2 pi long (radians), got one of 90 (degrees?",
+            "target.tag.pose: expected a rotation vector at most pi long (radians), got one of 90 (degrees?",
         ),
         (
             {"target": {**NO_IMAGE, "tag": {"size": 0.1, "pose": [0, 0, -0.65, 0, 0, "a"]}}},
@@ -257,7 +257,7 @@ def test_a_tag_is_its_corners(paper: hs.Scenario) -> None:
         ),
         (
             {"target": {**NO_IMAGE, "grid": {"rows": 2, "columns": 2, "spacing": 0.05, "pose": [0, 0, 0, 0, 0, -45]}}},
-            "target.grid.pose: expected a rotation vector at most 2 pi long (radians), got one of 45 (degrees?",
+            "target.grid.pose: expected a rotation vector at most pi long (radians), got one of 45 (degrees?",
         ),
         ({"robot.gravity": -9.8}, "robot.gravity: expected a number >= 0"),
         ({"simulation.start.pose": [0, 0, -0.6, 0, 0, 0]}, "simulation.start.pose: expected a pose from which every"),
@@ -377,7 +377,7 @@ def test_poses_of_the_wrong_shape_are_refused(paper: hs.Scenario) -> None:
                 function(paper, wrong)  # type: ignore[arg-type]
         with pytest.raises(ValueError, match=r"^pose: expected .*, got 1e\+308$"):
             function(paper, [1e308] * 6)
-        with pytest.raises(ValueError, match=r"^pose: expected a rotation vector at most 2 pi long .* one of 90 \(deg"):
+        with pytest.raises(ValueError, match=r"^pose: expected a rotation vector at most pi long .* one of 90 \(deg"):
             function(paper, [0.0] * 5 + [90.0])
 
 
@@ -389,7 +389,7 @@ def test_a_whole_turn_is_a_pose_and_more_is_none(paper: hs.Scenario) -> None:
         if within:
             paper.updated(change)
         else:
-            with pytest.raises(hs.ScenarioError, match="at most 2 pi long"):
+            with pytest.raises(hs.ScenarioError, match="at most pi long"):
                 paper.updated(change)
 
 

@@ -39,7 +39,7 @@ class LegWatch {
         speed_limit_(hexapod.speed_limit),
         base_chord_(hexapod.joint_chords(0)),
         platform_chord_(hexapod.joint_chords(1)),
-        acts_(any((speed_limit_ < none()) | (base_chord_ < none()) | (platform_chord_ < none()))) {}
+        acts_(any(speed_limit_ < none()) || any(base_chord_ < none()) || any(platform_chord_ < none())) {}
 
   /// Whether a limit is given, in any lane.
   bool acts() const noexcept { return acts_; }

@@ -75,6 +75,11 @@ inline constexpr double kCrawlingPeriods = 0.02;
 /// may be one length from the pose before.
 inline constexpr double kFarthestStart = 10.0;
 
+/// Squared cosine of half the angle by which such a pose may be turned, from the pose before (90 deg) and of the first
+/// one from home (150 deg): an attitude as (x, y, z, w) is about 180 deg off.
+inline constexpr double kFarthestTurn = 0.5;
+inline constexpr double kFarthestFirstTurn = 0.0669872981077807;
+
 inline constexpr int kEncoderRounds = 12;  ///< most Newton rounds of a reading: any motion without a singular pose
 
 /// Newton rounds of a reading, 4 to `kEncoderRounds`: three, and one for every millisecond between two readings.
@@ -389,13 +394,17 @@ class Perception {
   }
 
   /// A pose that is measured as such. One that the platform cannot have come to since the one before is none: in
-  /// millimetres, or wrong by itself.
+  /// millimetres, with its quaternion in another order, or wrong by itself.
   /// @return whether it is one
   Mask<S> taken(const SensorInput<S, N>& input) noexcept {
-    const S reach = select(read_at_ == S(-kInfinity), S(S(kFarthestStart) * reach_), reach_);
+    const Mask<S> first = read_at_ == S(-kInfinity);
+    const S reach = select(first, S(S(kFarthestStart) * reach_), reach_);
+    const S turn = select(first, S(kFarthestFirstTurn), S(kFarthestTurn));
     const S squared_length = input.pose.quaternion.squaredNorm();
-    const Mask<S> known = (Vector3<S>(input.pose.position - now_.pose.position).squaredNorm() <= reach * reach) &
-                          is_finite(squared_length) & (squared_length > S(0.0));
+    const S both = input.pose.quaternion.dot(now_.pose.quaternion);
+    const Mask<S> near = (Vector3<S>(input.pose.position - now_.pose.position).squaredNorm() <= reach * reach) &
+                         (both * both >= turn * squared_length * now_.pose.quaternion.squaredNorm());
+    const Mask<S> known = near & is_finite(squared_length) & (squared_length > S(0.0));
     if (all(known)) {
       now_.pose = input.pose;
     } else {

@@ -164,6 +164,19 @@ class PositionedLegs {
     return out;
   }
 
+  /// Mean of q-ddot_i over a tick [m/s^2], or [rad/s^2]: its rate at the end less that now.
+  /// @param steps of it
+  /// @param period [s]
+  Vector6<S> mean_accelerations(long long steps, double period) const noexcept {
+    Vector6<S> out;
+    for (int i = 0; i < 6; ++i) {
+      S x = positions_(i) - wanted_(i), rate = rates_(i);
+      for (long long step = 0; step < steps; ++step) leg_.advance(x, rate);
+      out(i) = (rate - rates_(i)) / S(period);
+    }
+    return out;
+  }
+
   /// A Runge-Kutta step of the loop.
   void advance() noexcept {
     for (int i = 0; i < 6; ++i) {

@@ -102,14 +102,20 @@ class SampledPlant {
     const WrenchMapSolver<S> solver(leg_geometry_, found);
     const Legs<S> legs = Legs<S>::of(found);
     const Vector6<S> twist = twist_of(state_.body);
-    Vector6<S> acceleration;
-    if (motors_)
-      acceleration = motors_->acceleration(state_.body, free_dynamics(time(), state_.body));
-    else
-      acceleration = solver.twist(positioned_->accelerations() - leg_bias(leg_geometry_, legs, p_BE, twist));
-    wrench_ = world_.needed_wrench(state_.body, state_.view.R_BE, acceleration) -
-              base_wrench(time(), state_.body, state_.view.R_BE);
-    leg_forces_ = motors_ ? motors_->torques(legs.lengths, legs.rates(twist)) : solver.leg_forces(wrench_);
+    const Vector6<S> base = base_wrench(time(), state_.body, state_.view.R_BE);
+    if (motors_) {
+      const Vector6<S> acceleration = motors_->acceleration(state_.body, free_dynamics(time(), state_.body));
+      wrench_ = world_.needed_wrench(state_.body, state_.view.R_BE, acceleration) - base;
+      leg_forces_ = motors_->torques(legs.lengths, legs.rates(twist));
+    } else {  // a command is a step: the wrench is the mean of the tick, the leg forces are those just after it
+      const Vector6<S> bias = leg_bias(leg_geometry_, legs, p_BE, twist);
+      const auto needed = [&](const Vector6<S>& leg_accelerations) -> Vector6<S> {
+        const Vector6<S> acceleration = solver.twist(leg_accelerations - bias);
+        return world_.needed_wrench(state_.body, state_.view.R_BE, acceleration) - base;
+      };
+      wrench_ = needed(positioned_->mean_accelerations(substeps_, period_));
+      leg_forces_ = solver.leg_forces(needed(positioned_->accelerations()));
+    }
     if (stops_where_lost_) record_.stop(StopCause::feature_lost, seen.lost);
     if (any(command.law_failed)) record_.stop(StopCause::not_finite, command.law_failed);
     record_.accept(time(), state_, legs.lengths, solver.failed(), wrench_, leg_forces_, fuzzy_output, seen.unsensed);

@@ -80,7 +80,7 @@ def project(scenario: Scenario, pose: ArrayLike) -> Array:
     TypeError
         For anything but a `Scenario`.
     ValueError
-        For poses that are not six finite numbers within 1e6 each with a rotation vector at most 2 pi long, and for a
+        For poses that are not six finite numbers within 1e6 each with a rotation vector at most pi long, and for a
         camera `as_printed`, which has no points.
     """
     require_scenario(scenario)
@@ -113,7 +113,7 @@ def reachable(scenario: Scenario, pose: ArrayLike) -> Reachability:
     TypeError
         For anything but a `Scenario`.
     ValueError
-        For a pose that is not six finite numbers within 1e6 with a rotation vector at most 2 pi long.
+        For a pose that is not six finite numbers within 1e6 with a rotation vector at most pi long.
     """
     require_scenario(scenario)
     wanted = _displacements(pose, ())

@@ -25,7 +25,7 @@ def problem_of_turns(poses: ArrayLike) -> str | None:
     if longest <= _core.LONGEST_TURN:
         return None
     got = f"one of {longest:.6g} (degrees? multiply by pi/180)"
-    return f"expected a rotation vector at most 2 pi long (radians), got {got}"
+    return f"expected a rotation vector at most pi long (radians), got {got}"
 
 
 @dataclass(frozen=True)
