@@ -399,3 +399,17 @@ def test_the_command_writes_the_model(tmp_path: Path) -> None:
     for wrong in (["--header", str(tmp_path / "g.hpp")], ["--period", "0.001"]):
         assert CliRunner().invoke(app, [*call, "--force", *wrong]).exit_code == 2
     assert CliRunner().invoke(app, ["export", "paper-nominal"]).exit_code == 2
+
+
+@pytest.mark.parametrize(("name", "noted"), [("pi-h824", True), ("paper", False), ("pi-h824-positions", False)])
+def test_a_run_that_holds_the_wrench_is_noted(tmp_path: Path, name: str, noted: bool) -> None:
+    """The motors of the model hold forces: so does `actuators.hold: leg_forces`, and the other differs by mm."""
+    file = tmp_path / "mine.yaml"
+    changes = {"actuators.kind": "position_torque"} if name == "pi-h824-positions" else {}
+    scenario = hs.load_scenario(name, changes)
+    for hold in ("wrench", "leg_forces") if noted else ("",):
+        held = scenario.updated({"actuators.hold": hold}) if hold else scenario
+        file.write_text(held.to_yaml(), encoding="utf-8")
+        result = CliRunner().invoke(app, ["export", str(file), "--mjcf", str(tmp_path / "m.xml"), "--force"])
+        assert result.exit_code == 0
+        assert ("Note: actuators.hold: the motors of the model hold leg forces" in result.stdout) == (hold == "wrench")
