@@ -109,8 +109,8 @@ def _mjcf(scenario: hs.Scenario, file: str, force: bool) -> str:
     actuators = scenario.actuators
     if scenario.simulation.mode == SAMPLED_MODE and actuators.kind == "force" and actuators.hold == "wrench":
         notes.append(
-            "actuators.hold: the motors of the model hold leg forces over a tick, and a run of this scenario the wrench; "
-            "leg forces of a run with actuators.hold: leg_forces move both alike"
+            "actuators.hold: the motors of the model hold leg forces over a tick, and a run of this scenario the "
+            "wrench; leg forces of a run with actuators.hold: leg_forces move both alike"
         )
     return first + "".join(f"Note: {note}.\n" for note in [*notes, *keyframe_notes(scenario)])
 
