@@ -550,6 +550,34 @@ def test_a_pose_that_the_platform_cannot_have_come_to_is_unusable(paper: hs.Scen
     assert controller.step(**at(np.add(place, [0.99 * longest, 0.0, 0.0]), paper)).status == "valid"
 
 
+@pytest.mark.parametrize("axis", [[1.0, 0.0, 0.0], [0.0, 0.6, 0.8]])
+def test_an_attitude_that_the_platform_cannot_have_come_to_is_unusable(paper: hs.Scenario, axis: list[float]) -> None:
+    """More than 90 deg from the one before, or, of the first one, than 150 deg from home; a length has no meaning."""
+
+    def turned(degrees: float) -> dict[str, Any]:
+        half = np.radians(degrees) / 2.0
+        given = at(paper.robot.home_position, paper)
+        return {**given, "quaternion": -3.0 * np.array([np.cos(half), *(np.sin(half) * np.array(axis))])}
+
+    for first, status in ((149.0, "valid"), (151.0, "unusable"), (-149.0, "valid"), (-151.0, "unusable")):
+        assert hs.Controller(paper).step(**turned(first)).status == status
+    controller = hs.Controller(paper)
+    for degrees, status in ((0.0, "valid"), (89.0, "valid"), (178.0, "valid"), (87.0, "unusable"), (89.0, "valid")):
+        assert controller.step(**turned(degrees)).status == status
+
+
+def test_a_quaternion_in_another_order_is_unusable() -> None:
+    """(x, y, z, w), near home: half a turn from it."""
+    scenario = hs.load_scenario("composite-30hz")
+    run = hs.simulate(scenario)
+    controller = hs.Controller(scenario)
+    given = at(run.position[0], scenario)
+    given["quaternion"] = np.roll(run.quaternion[0], -1)
+    assert controller.step(**given).status == "unusable"
+    given["quaternion"] = run.quaternion[0]
+    assert controller.step(**given).status == "valid"
+
+
 def test_a_state_that_was_stored_refuses_the_same_poses(paper: hs.Scenario) -> None:
     controller, place = hs.Controller(paper), np.array([0.001, -0.002, -0.151])
     controller.step(**at(place, paper))
