@@ -31,9 +31,7 @@ class Sight:
     length: float  # L [m], the points' mean depth: of what turns are multiplied by where metres and radians are mixed
     values: Array  # (6,) singular values of J as it stands [px/m and px/rad], falling
     scaled_values: Array  # (6,) of J diag(1, 1/L) [px/m], falling
-    directions: (
-        Array  # (6, 6), row k belongs to scaled_values[k]: shift [m] and rotation vector [rad], unit of length 1 m
-    )
+    directions: Array  # (6, 6), row k of scaled_values[k]: shift [m] and rotation vector [rad], unit of length 1 m
     pose_sigma: Array  # (6,) [m; rad] per px: least squares, 1 px of noise in each coordinate
     small_shift: float  # [m], of the displayed least observable motion
 

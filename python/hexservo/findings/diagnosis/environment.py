@@ -64,9 +64,8 @@ ORDINARY_BANDWIDTH = 100.0  # [Hz], of the actuators, at least
 _ROUNDING = 1e-9  # relative difference of equal numbers
 _NEAR = 1.5  # factor between a gain and its default within which it is ordinary
 _SAME_RATE = 2.0  # factor between the rates of two loops within which time does not part them
-_KEPT = frozenset(
-    {"sensors.pose", "sensors.rate", "actuators.hold", "actuators.kind"}
-)  # how a machine is built, and no fault
+# how a machine is built, and no fault
+_KEPT = frozenset({"sensors.pose", "sensors.rate", "actuators.hold", "actuators.kind"})
 
 
 def ordinary_devices(scenario: Scenario) -> dict[str, float]:
