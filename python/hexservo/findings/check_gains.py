@@ -16,6 +16,7 @@ from hexservo.findings.check_forces import of_fitted_forces, of_written_forces, 
 from hexservo.findings.coupling import SHARE, has_products, noise_at_rest, settling
 from hexservo.findings.leg_feedback import OF_MARGIN, feedback_margin, integral_margin
 from hexservo.findings.prior import largest_share, left_by_inverse, share_of_prior
+from hexservo.findings.target_path import follows_direction
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.default_gains import is_far, misfit, platform_of_defaults
 from hexservo.scenario.fitted import Machine, auto_of, chosen_keys, fitted_keys, idle_gains
@@ -121,7 +122,7 @@ def _of_band(scene: Scene, law: str) -> Iterator[str]:
     if value_at(scene.scenario, f"{law}.integral") == 0.0:
         return
     left = BEGINS * scene.settings[f"{law}.band"]  # (6,) [m; rad]
-    levers = np.repeat([1.0, scene.platform_radius], 3)  # of the platform's joints
+    levers = scene.levers
     share = left * levers / scene.stroke_length
     axis = int(share.argmax())
     if share[axis] > _WIDE * _ROUNDING:
@@ -187,14 +188,14 @@ def share_of_restarts(scenario: Scenario, law: str, assumed: float | None = None
         assumed = value_at(scenario, f"{law}.noise")
     if scenario.simulation.mode != SAMPLED_MODE or true == 0.0:
         return 0.0
-    numbers = 3 if value_at(scenario, f"{law}.follow") == "direction" else 6
+    numbers = 3 if follows_direction(scenario) else 6
     within = _core.all_within(value_at(scenario, f"{law}.jump"), numbers)
     return float(chi2.sf(within * (assumed / _root_of_weights(scenario, law) / true) ** 2, numbers))
 
 
 def _root_of_weights(scenario: Scenario, law: str) -> float:
     """Return by what, at most, the filter's noise is divided: it takes a point of weight w for one of noise/sqrt(w)."""
-    if value_at(scenario, f"{law}.follow") == "direction":  # of shares, in which a common factor has no part
+    if follows_direction(scenario):  # of shares, in which a common factor has no part
         return 1.0
     return math.sqrt(float(np.max(scenario.target.weights)))
 

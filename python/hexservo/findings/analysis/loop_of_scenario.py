@@ -424,7 +424,7 @@ def growth(
         # Forward kinematics of legs of some metres may miss its tolerance: no statement on stability.
         lost = result.outcome == "solver_failed" and np.max(np.abs(result.feature_error[-1])) < 1.0
         return np.nan if lost else np.inf
-    twist = result.twist[::every] * np.repeat([1.0, scene.platform_radius], 3)
+    twist = result.twist[::every] * scene.levers
     for multiplier in [*without, *([1.0, 1.0] if angle > 1e-3 else [])]:
         twist = twist[1:] - multiplier * twist[:-1]
     turned = twist * np.exp(-1j * angle * np.arange(len(twist)))[:, None]
