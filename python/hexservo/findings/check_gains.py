@@ -207,10 +207,6 @@ def _of_times(scenario: Scenario, key: str, bandwidth: float) -> Iterator[str]:
         what = "servo period" if scenario.simulation.mode == SAMPLED_MODE else "step"
         above = _out_of_bound(key, "above", bandwidth, most)
         yield f"{above}, a quarter of the rate of a {what} of {quantity(step, 's')}"
-    yield from _too_slow(scenario, key, bandwidth)
-
-
-def _too_slow(scenario: Scenario, key: str, bandwidth: float) -> Iterator[str]:
     least = _OF_RUN / scenario.simulation.duration
     if bandwidth < least / _ROUNDING:
         run = quantity(scenario.simulation.duration, "s")
@@ -329,13 +325,6 @@ def _decoupling_laws(scenario: Scenario) -> str:
     return " or ".join(f"{law} with controller.{law}.auto.bandwidth: {bandwidth:g}" for law in laws)
 
 
-def _laws_of_the_pose() -> Iterator[str]:
-    """Yield the laws that find the pose of the image, with a spring to that of the goal."""
-    for law, traits in _core.LAW_TRAITS.items():
-        if traits.pose_error and not traits.inverse:
-            yield law
-
-
 def _of_image(scene: Scene, key: str) -> Iterator[str]:
     """Yield where the law's own structure keeps it from settling as others do."""
     law, machine = scene.scenario.controller.law, scene.machine
@@ -381,7 +370,12 @@ def _of_way(scene: Scene) -> Iterator[str]:
     remedy = f"{traits.inverse} that is larger for shifts" if traits.prior else f"smaller {traits.inverse}"
     bandwidth = auto_of(scene.scenario).bandwidth
     fitted = "" if bandwidth is None else f": {number(bandwidth)}"
-    of_pose = " or ".join(f"{each} with controller.{each}.auto.bandwidth{fitted}" for each in _laws_of_the_pose())
+    # the laws that find the pose of the image, with a spring to that of the goal
+    of_pose = " or ".join(
+        f"{each} with controller.{each}.auto.bandwidth{fitted}"
+        for each, has in _core.LAW_TRAITS.items()
+        if has.pose_error and not has.inverse
+    )
     yield (
         f"controller.{law}.{traits.inverse}: the law first goes to a pose {shift} m and {turn} rad from home, where "
         f"{limit.beyond}, although the legs reach the goal; a {remedy}, or a law of the pose, {of_pose}, does not"

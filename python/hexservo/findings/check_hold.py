@@ -17,7 +17,6 @@ from hexservo.findings.target_path import moving_keys, path_at
 from hexservo.findings.tracking_runs import MOVED, RUNS, long_enough, seeds_of_runs
 from hexservo.run.batch import simulate_batch, whole
 from hexservo.run.metrics import is_settled
-from hexservo.scenario.arrays import Array
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.laws import Tracking
 from hexservo.scenario.rotations import quaternions_of_matrices, unit_rotation_vectors
@@ -123,17 +122,12 @@ def _late(scenario: Scenario) -> _Late:
         simulate_batch(scenario, {"seed": seeds_of_runs(scenario)}, log="trajectory", metrics=("settling_time",))
     )
     features = batch.samples["feature_error"]
-    ended = batch.outcome != "completed"
-    errors = np.where(ended, np.inf, np.abs(_late_half(np.nan_to_num(features, nan=np.inf))).max(axis=(1, 2)))
+    ended, late = batch.outcome != "completed", np.nan_to_num(features[:, features.shape[1] // 2 :], nan=np.inf)
+    errors = np.where(ended, np.inf, np.abs(late).max(axis=(1, 2)))
     unsettled = ~is_settled(batch.outcome, batch.metrics["settling_time"])
     first = str(batch.outcome[ended][0]) if ended.any() else "completed"
     largest = float(errors[~ended].max(initial=0.0))
     return _Late(scenario, float(np.median(errors)), largest, int(unsettled.sum()), first)
-
-
-def _late_half(samples: Array) -> Array:
-    """Return the second half of samples (n, m, k)."""
-    return samples[:, samples.shape[1] // 2 :]
 
 
 def _still(scene: Scene, goal: GoalPose, scenario: Scenario) -> float:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from hexservo.findings.certificate.lyapunov import Lyapunov, Rise
+from hexservo.findings.certificate.lyapunov import Lyapunov
 from hexservo.findings.certificate.uncertainty import AXES
-from hexservo.findings.certificate.words import markers
 from hexservo.findings.evidence import Column, Curves, Line, Section, Table, Verdict, picked
+from hexservo.run.samples import extreme_samples
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.laws import SMOOTH_KINDS
 from hexservo.scenario.wording import counted, joules, number, shown_unit
 
 PAGE = "docs/certificate/lyapunov.md"
 _ROWS = 12  # of the table of rises, at most
+_SHOWN = 1500  # points of a line of markers, at most
 
 
 def section(found: Lyapunov) -> Section:
@@ -46,7 +48,7 @@ def section(found: Lyapunov) -> Section:
         sentences.append(
             f"V grew at {rising} of {found.compared} samples compared (of {len(found.time)}), by up to "
             f"{joules(worst.rate, 3, 'W')} at t = {worst.first:.4g} to {worst.last:.4g} s, mostly due to "
-            f"{_blame(worst)}; "
+            f"{AXES[worst.axis]} ({worst.term}; gamma = {worst.gamma:.3g} there); "
             f"over the whole run V changed by {joules(change)}."
         )
     if len(gap):
@@ -190,5 +192,11 @@ def _items(found: Lyapunov) -> tuple[Table | Curves, ...]:
     )
 
 
-def _blame(rise: Rise) -> str:
-    return f"{AXES[rise.axis]} ({rise.term}; gamma = {rise.gamma:.3g} there)"
+def markers(name: str, time: Array, values: Array) -> Line:
+    """Return samples (n,) as markers, at most 1500, which keep the extremes; NaN has none.
+
+    Lines need no such choice: a chart draws what its width resolves, with all peaks.
+    """
+    known = np.flatnonzero(np.isfinite(values))
+    kept = known[extreme_samples(values[known], _SHOWN)]
+    return Line(name, time[kept], values[kept], "points")
