@@ -178,7 +178,7 @@ def alone_pairs(cause: Cause, case: Case, removal: Removal) -> list[Alone]:
     scenario = case.scenario
     without = ideal(scenario)
     if cause.kind == "task":
-        usual, own = (_less(changes, cause.keys) for changes in ({**without, **ordinary(scenario)}, without))
+        usual, own = (less(changes, cause.keys) for changes in ({**without, **ordinary(scenario)}, without))
         return [
             Alone({**usual, **removal.changes}, usual, removal.stroke_counts),
             # default gains that fail without the cause too prove nothing about it, as it is no setting of the law
@@ -186,8 +186,8 @@ def alone_pairs(cause: Cause, case: Case, removal: Removal) -> list[Alone]:
         ]
     if cause.kind == "law":
         without |= ordinary(scenario)
-    without = _less(without, in_scenario(cause.context, scenario))
-    return [Alone(without, _less(without, in_scenario(cause.keys, scenario)))]
+    without = less(without, in_scenario(cause.context, scenario))
+    return [Alone(without, less(without, in_scenario(cause.keys, scenario)))]
 
 
 def alone_at_its_gains(case: Case, name: str, power: float) -> list[Alone]:
@@ -218,8 +218,7 @@ def alone_at_its_gains(case: Case, name: str, power: float) -> list[Alone]:
 
 def faultless(scenario: Scenario) -> dict[str, Any]:
     """Return the changes to devices without faults and ordinary settings of the law, with the scenario's own task."""
-    task = ("metrics.band", "metrics.dwell")
-    return _less({**ideal(scenario), **ordinary(scenario)}, task)
+    return less({**ideal(scenario), **ordinary(scenario)}, ("metrics.band", "metrics.dwell"))
 
 
 def both_alone(first: Cause, second: Cause, case: Case, changed: Iterable[str] = ()) -> list[Changes]:
@@ -238,12 +237,12 @@ def both_alone(first: Cause, second: Cause, case: Case, changed: Iterable[str] =
     own = in_scenario(first.keys | first.context | second.keys | second.context, scenario)
     own += [key for key in changed if key.startswith(f"controller.{scenario.controller.law}.")]
     if "law" not in (first.kind, second.kind):
-        return [devices, _less(devices, own)]
+        return [devices, less(devices, own)]
     usual = {**devices, **ordinary(scenario)}
-    return [usual, _less(usual, own), _less(devices, own)]
+    return [usual, less(usual, own), less(devices, own)]
 
 
-def _less(changes: Changes, keys: Iterable[str]) -> dict[str, Any]:
+def less(changes: Changes, keys: Iterable[str]) -> dict[str, Any]:
     """Return the changes without those of some keys, which keep the scenario's values."""
     kept = set(keys)
     return {key: value for key, value in changes.items() if key not in kept}
