@@ -34,7 +34,6 @@ from hexservo.findings.check_tracking import of_tracking
 from hexservo.findings.check_view import of_plane, of_straight_way
 from hexservo.findings.home_loop import poles_at_home
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.pixels import points_outside
@@ -97,7 +96,7 @@ def notes(scenario: Scenario) -> list[str]:
     """
     scene = scene_of(scenario)
     found = keys_without_effect(scenario) + evaluated(of_prior, scene) + evaluated(of_drift, scene)
-    brakes = scenario.simulation.mode == SAMPLED_MODE and scenario.camera.timeout is not None
+    brakes = scenario.sampled and scenario.camera.timeout is not None
     return found + (evaluated(of_brake, scene) if brakes else [])
 
 
@@ -175,7 +174,7 @@ def _of_legs(scene: Scene) -> Iterator[str]:
 def _of_drives(scene: Scene) -> Iterator[str]:
     """Find rounding and friction that leave the drives of a sampled scenario nothing to act with."""
     scenario, units = scene.scenario, scene.units
-    if scenario.simulation.mode != SAMPLED_MODE:
+    if not scenario.sampled:
         return
     actuators, motor, stroke = scenario.actuators, scenario.actuators.motor, scenario.robot.stroke
     largest = float(np.abs(scene.resting_forces(scene.home)).max())

@@ -11,7 +11,6 @@ import numpy as np
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.bisection import last_that_holds
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.fitted import auto_of
 from hexservo.scenario.parameters import reading_ticks
 from hexservo.scenario.pixels import feature_noise
@@ -122,7 +121,7 @@ def _noisy(scene: Scene, coordinates: int) -> tuple[Array, Array, Array]:
     No rows in continuous mode, whose loop has no noise.
     """
     scenario = scene.scenario
-    if scenario.simulation.mode != SAMPLED_MODE:
+    if not scenario.sampled:
         return np.zeros((0, coordinates)), np.zeros((0, 6)), np.zeros((0, 6))
     of_camera = feature_noise(scenario.camera) * np.eye(coordinates)
     of_joints = scene.pose_noise.T  # a row for each leg

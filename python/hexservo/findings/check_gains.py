@@ -17,7 +17,6 @@ from hexservo.findings.coupling import SHARE, has_products, noise_at_rest, settl
 from hexservo.findings.leg_feedback import OF_MARGIN, feedback_margin, integral_margin
 from hexservo.findings.prior import largest_share, left_by_inverse, share_of_prior
 from hexservo.findings.target_path import follows_direction
-from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.default_gains import is_far, misfit, platform_of_defaults
 from hexservo.scenario.fitted import Machine, auto_of, chosen_keys, fitted_keys, idle_gains
 from hexservo.scenario.keys import value_at
@@ -186,7 +185,7 @@ def share_of_restarts(scenario: Scenario, law: str, assumed: float | None = None
     true = feature_noise(scenario.camera)
     if assumed is None:
         assumed = value_at(scenario, f"{law}.noise")
-    if scenario.simulation.mode != SAMPLED_MODE or true == 0.0:
+    if not scenario.sampled or true == 0.0:
         return 0.0
     numbers = 3 if follows_direction(scenario) else 6
     within = _core.all_within(value_at(scenario, f"{law}.jump"), numbers)
@@ -204,7 +203,7 @@ def _of_times(scenario: Scenario, key: str, bandwidth: float) -> Iterator[str]:
     step = scenario.simulation.step
     most = OF_SERVO_RATE / step
     if bandwidth > most * _ROUNDING:
-        what = "servo period" if scenario.simulation.mode == SAMPLED_MODE else "step"
+        what = "servo period" if scenario.sampled else "step"
         above = _out_of_bound(key, "above", bandwidth, most)
         yield f"{above}, a quarter of the rate of a {what} of {quantity(step, 's')}"
     least = _OF_RUN / scenario.simulation.duration
@@ -229,7 +228,7 @@ def image_delay(scenario: Scenario) -> float:
     a wrong stamp is carried too far or too short by that time. Too short is a delay; too far takes less damping, and in
     the end stability, and counts as much. No stamp shows the lag of a filter.
     """
-    if scenario.simulation.mode != SAMPLED_MODE:
+    if not scenario.sampled:
         return 0.0
     age, late = image_age(scenario), actuators_lag(scenario)
     too_far = np.atleast_1d(scenario.uncertainty.depth)

@@ -17,7 +17,6 @@ from hexservo.findings.target_path import moving_keys, path_at
 from hexservo.findings.tracking_runs import MOVED, RUNS, long_enough, seeds_of_runs
 from hexservo.run.batch import simulate_batch, whole
 from hexservo.run.metrics import is_settled
-from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.laws import Tracking
 from hexservo.scenario.rotations import quaternions_of_matrices, unit_rotation_vectors
 from hexservo.scenario.scenario import Scenario
@@ -46,7 +45,7 @@ def of_hold(scene: Scene) -> Iterator[str]:
     run are looked at. The law `tracking` before a target in motion has `check_tracking`.
     """
     scenario = scene.scenario
-    goals = find_goals(scene) if scenario.simulation.mode == SAMPLED_MODE and scene.has_points else None
+    goals = find_goals(scene) if scenario.sampled and scene.has_points else None
     if goals is None or not goals.reachable:
         return
     keys = moving_keys(scenario)

@@ -12,7 +12,6 @@ from hexservo.findings.analysis.poses import without_sign
 from hexservo.findings.analysis.scene import Scene, View, scene_of
 from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.pixels import feature_noise
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number
@@ -105,7 +104,7 @@ def noise_of(scenario: Scenario) -> float:
 
 def frames_noise(scenario: Scenario) -> float:
     """Return the noise and rounding of the camera's frames [px]; 0 where the image is exact."""
-    return feature_noise(scenario.camera) if scenario.simulation.mode == SAMPLED_MODE else 0.0
+    return feature_noise(scenario.camera) if scenario.sampled else 0.0
 
 
 def noise_in_words(scenario: Scenario) -> str:

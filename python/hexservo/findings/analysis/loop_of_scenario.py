@@ -168,7 +168,7 @@ def loop_at_rest(scenario: Scenario) -> LoopAtRest:
         smooth = _loop(calm, linear_law(calm, scene, pose, smooth=True), plant) if slope.any() else None
     except NoRestError as error:
         raise NotApplicableError(str(error)) from error
-    as_if_sampled = scenario.simulation.mode == "continuous"
+    as_if_sampled = not scenario.sampled
     own = {key: value_at(scenario, key) for key in ("uncertainty.gravity", *AT_HOME)}
     return LoopAtRest(calm, as_if_sampled, rest, free, smooth, slope, calm.updated(own))
 

@@ -74,7 +74,7 @@ def run(scene: Scene, law: RestLaw, rest: RestSet, ends: Extremes, kv: Array, fu
         "simulation.log_every": 1,
         f"controller.{name}.fuzzy.enabled": fuzzy,
     }
-    if scenario.simulation.mode == "sampled":
+    if scenario.sampled:
         quiet = dict.fromkeys(("noise", "quantisation", "dropout", "outlier_probability"), 0.0)
         changes |= {f"camera.{key}": value for key, value in quiet.items()}
         changes |= {**AT_REST, "sensors.noise": 0.0, "camera.image_size": None}

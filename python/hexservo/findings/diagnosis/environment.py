@@ -93,7 +93,7 @@ def ideal(scenario: Scenario) -> dict[str, Any]:
             value, wanted = value_at(scenario, key), default_of(key)
             if key in _OF_THE_TASK | _KEPT or (block == "base_motion" and key not in BASE_MOTIONS):  # its own act
                 continue
-            if key == "camera.period" and scenario.simulation.mode == "sampled":
+            if key == "camera.period" and scenario.sampled:
                 value, wanted = frame_period(scenario), scenario.simulation.step
             elif key in usual_devices:
                 wanted = value if np.abs(value).max() <= usual_devices[key] else 0.0
@@ -129,8 +129,7 @@ def ordinary(scenario: Scenario) -> dict[str, Any]:
     """Return the changes to ordinary settings of the same law: its defaults, and a fine step."""
     usual = default_gains(scenario)
     changes = {key: wanted for key, wanted in usual.items() if differs(value_at(scenario, key), wanted)}
-    sampled = scenario.simulation.mode == "sampled"
-    kind = "implicit" if sampled else "sign"
+    kind = "implicit" if scenario.sampled else "sign"
     switching = scenario.controller.switching
     if switching.kind not in (kind, "implicit_coupled"):
         changes["controller.switching.kind"] = kind
@@ -141,7 +140,7 @@ def ordinary(scenario: Scenario) -> dict[str, Any]:
     if step > FINE_STEP:
         step /= math.ceil(step / FINE_STEP - 1e-9)
         changes["simulation.step"] = step
-        if sampled:
+        if scenario.sampled:
             changes["camera.period"] = step
     return changes
 
