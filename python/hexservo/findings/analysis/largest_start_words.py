@@ -83,14 +83,14 @@ def _sentences(found: LargestStart) -> list[str]:
         words.append(
             f"In the direction of the task no error was found that settles within {found.duration:g} s: the "
             f"smallest that was tried, {own.fails_at:.3g} times the task ({_amount(own, own.fails_at)}), already "
-            f"fails{_by_seeds(found, own, ' (', ')')} (empirical)."
+            f"fails{_in_brackets(_by_seeds(found, own))} (empirical)."
         )
     else:
         factors = apart(own.settles_to, own.fails_at, 3)
         words.append(
             f"In the direction of the task errors settle within {found.duration:g} s and {_WITHIN} up to "
             f"{factors[0]} times the task ({_amount(own, own.settles_to)}, {own.error:.3g} px); "
-            f"{factors[1]} times {_failure(found, own)}{_by_seeds(found, own, ' (', ')')} (empirical)."
+            f"{factors[1]} times {_failure(found, own)}{_in_brackets(_by_seeds(found, own))} (empirical)."
         )
     words.append(_others(found))
     words += _timing_words(found) or [_not_settled(found)]
@@ -149,7 +149,7 @@ def _others(found: LargestStart) -> str:
     return (
         f"{of} goals that do not settle within {found.duration:g} s{the_worst}: "
         + (f"up to {settles} settle" if worst.settles_to else "none that was tried settles")
-        + f", {fails} {_failure(found, worst)}{_by_seeds(found, worst, ' (', ')')}, of "
+        + f", {fails} {_failure(found, worst)}{_in_brackets(_by_seeds(found, worst))}, of "
         f"{_amount(worst, worst.largest)} that were possible."
     )
 
@@ -221,20 +221,24 @@ def _timing_words(found: LargestStart) -> list[str]:
 
 def _doubt(found: LargestStart, timing: Timing) -> str:
     """Return what speaks against a limit of a camera time: other seeds, and larger times that settle."""
-    doubts = [_by_seeds(found, timing)] if timing.reseeded else []
-    if timing.settles_again is not None:
-        doubts.append(f"some larger ones settle, up to {in_ms(timing.settles_again)}")
-    return f" ({'; '.join(doubts)})" if doubts else ""
+    again = timing.settles_again
+    larger = "" if again is None else f"some larger ones settle, up to {in_ms(again)}"
+    return _in_brackets(_by_seeds(found, timing), larger)
 
 
-def _by_seeds(found: LargestStart, tried: Direction | Timing, before: str = "", after: str = "") -> str:
+def _in_brackets(*doubts: str) -> str:
+    some = "; ".join(filter(None, doubts))
+    return f" ({some})" if some else ""
+
+
+def _by_seeds(found: LargestStart, tried: Direction | Timing) -> str:
     """Return in how many runs with other seeds the smallest size or time that fails settles; empty without noise."""
     count, settles = len(tried.reseeded), sum(tried.reseeded)
     if not count:
         return ""
     runs = {0: "none", count: "all"}.get(settles, str(settles))
     of = f"of {count} runs of {found.duration:g} s with other seeds"
-    return f"{before}{of} {runs} settle{'s' if settles == 1 else ''}{after}"
+    return f"{of} {runs} settle{'s' if settles == 1 else ''}"
 
 
 def _task(found: LargestStart) -> str:

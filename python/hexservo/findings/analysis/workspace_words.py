@@ -55,19 +55,19 @@ def _sentences(found: Workspace) -> list[str]:
         f"rotations are {_distance(found.least_shift)} mm and {_distance(found.least_turn)} mrad."
     )
     places = _places(found)[:2]
-    words.append(
-        "The distance to a singularity (smallest singular value of H, moments divided by r_p) is "
-        + " and ".join(f"{number(place.singularity)} at the {place.name}" for place in places)
-        + f", and at least {number(found.neighbourhood_singularity)} at random poses around the {places[-1].name} "
-        f"within {_limits(found)}."
-    )
-    if found.scene.hexapod.rotary:
-        words.append(
-            "The distance to cranks in line with their rods (smallest lever arm of a rod, relative to the crank) is "
-            + " and ".join(f"{number(place.lever_arm)} at the {place.name}" for place in places)
-            + f", and at least {number(found.neighbourhood_lever_arm)} at random poses around the {places[-1].name} "
-            f"within {_limits(found)}."
+
+    def distance_to(what: str, at_places: list[float], around: float) -> str:
+        at = " and ".join(f"{number(one)} at the {place.name}" for one, place in zip(at_places, places, strict=True))
+        return (
+            f"The distance to {what} is {at}, and at least {number(around)} at random poses around the "
+            f"{places[-1].name} within {_limits(found)}."
         )
+
+    singular = "a singularity (smallest singular value of H, moments divided by r_p)"
+    words.append(distance_to(singular, [at.singularity for at in places], found.neighbourhood_singularity))
+    if found.scene.hexapod.rotary:
+        in_line = "cranks in line with their rods (smallest lever arm of a rod, relative to the crank)"
+        words.append(distance_to(in_line, [at.lever_arm for at in places], found.neighbourhood_lever_arm))
     effort = found.scene.units.effort
     heaviest = max(_places(found), key=lambda place: float(np.abs(place.actual_forces).max()))
     words.append(
