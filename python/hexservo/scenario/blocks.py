@@ -22,7 +22,6 @@ from hexservo.scenario.block import (
     PROBABILITY,
     RELATIVE_ERROR,
     SAMPLED,
-    SAMPLED_MODE,
     Block,
     NumberNotNegative,
     PositiveNumber,
@@ -463,11 +462,6 @@ class Blocks(Block):
     controller: Controller = Field(default_factory=Controller)
     simulation: Simulation = Field(default_factory=Simulation)
     metrics: Metrics = Field(default_factory=Metrics)
-
-    @property
-    def sampled(self) -> bool:
-        """Whether time is sampled: camera, sensors and actuators act as devices, with their times."""
-        return self.simulation.mode == SAMPLED_MODE
 
     @property
     def legs_follow_twists(self) -> bool:
