@@ -112,8 +112,11 @@ def _sampled(run: Replay, ticks: NDArray[np.intp]) -> Iterator[Stages]:
         stages: list[dict[str, Array]] = []
         start = ticks * run.step + substep * step  # [s]
         for scale in (0.0, step / 2, step / 2, step):
-            rates = (stages[-1][name] for name in ("quaternion", "twist", "acceleration")) if stages else None
-            position, quaternion, twist = body if rates is None else run.probe.moved(*body, *rates, scale)
+            place = body
+            if stages:
+                before = stages[-1]
+                place = run.probe.moved(*body, before["quaternion"], before["twist"], before["acceleration"], scale)
+            position, quaternion, twist = place
             wrench = (
                 run.wrench[ticks] if legs is None else _leg_wrench(legs, position, quaternion, run.leg_forces[ticks])
             )
