@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 import hexservo as hs
 from hexservo.findings.certificate.lyapunov import Lyapunov, differentiate, lyapunov_of
+from hexservo.findings.certificate.lyapunov_words import markers
 from hexservo.findings.certificate.replay import Plant, replay
 from hexservo.findings.certificate.uncertainty import Assumption, DeltaTau, assumption_of, uncertainty_of
-from hexservo.findings.certificate.words import markers
 from hexservo.findings.evidence import Curves, Table
 
 Array = NDArray[np.float64]

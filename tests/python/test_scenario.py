@@ -127,6 +127,11 @@ def test_variants_differ_from_the_paper_as_named(name: str, changes: dict[str, A
     assert variant.description not in ("", paper.description)
 
 
+def test_a_scenario_is_sampled_in_that_mode_alone(paper: hs.Scenario) -> None:
+    assert not paper.updated({"simulation.mode": "continuous"}).sampled
+    assert paper.updated({"simulation.mode": "sampled"}).sampled
+
+
 def test_names_are_those_of_the_files() -> None:
     names = hs.scenario_names()
     assert names == tuple(sorted(names))

@@ -13,6 +13,7 @@ from hexservo.findings.analysis.linear_law import NoRestError, NotFiniteError, t
 from hexservo.findings.analysis.loop_of_scenario import NotApplicableError
 from hexservo.findings.analysis.reach import reach_of_start_and_goal
 from hexservo.findings.analysis.scene import Scene, scene_of
+from hexservo.findings.analysis.stiction_motors import rubs
 from hexservo.findings.check_adaptation import of_adaptation
 from hexservo.findings.check_base import of_base, of_drift
 from hexservo.findings.check_brake import of_brake
@@ -33,7 +34,6 @@ from hexservo.findings.check_tracking import of_tracking
 from hexservo.findings.check_view import of_plane, of_straight_way
 from hexservo.findings.home_loop import poles_at_home
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.pixels import points_outside
@@ -78,23 +78,14 @@ def unlikely(scenario: Scenario, *, by_law: bool = True) -> list[str]:
     """
     scene = scene_of(scenario)
     sentences: list[str] = []
-    machine, task = (
-        (_of_legs, _of_drives, of_positions, of_machine),
-        (_of_goal, of_plane, of_points, of_gate, of_target),
-    )
-    for check in (*machine, *task, of_base):
+    machine = (_of_legs, _of_drives, of_positions, of_machine)
+    for check in (*machine, _of_goal, of_plane, of_points, of_gate, of_target, of_base):
         sentences += evaluated(check, scene)
     for of_scenario in (_of_image, _of_principal_point, _of_duration, _of_dropout, of_motion, _of_unknown_latency):
         sentences += evaluated(of_scenario, scenario)
-    return sentences + (
-        [
-            sentence
-            for of_law in (_of_rates, of_adaptation, of_straight_way, of_tracking, of_hold, of_joints)
-            for sentence in evaluated(of_law, scene)
-        ]
-        if by_law
-        else []
-    )
+    for of_law in (_of_rates, of_adaptation, of_straight_way, of_tracking, of_hold, of_joints) if by_law else ():
+        sentences += evaluated(of_law, scene)
+    return sentences
 
 
 def notes(scenario: Scenario) -> list[str]:
@@ -105,7 +96,7 @@ def notes(scenario: Scenario) -> list[str]:
     """
     scene = scene_of(scenario)
     found = keys_without_effect(scenario) + evaluated(of_prior, scene) + evaluated(of_drift, scene)
-    brakes = scenario.simulation.mode == SAMPLED_MODE and scenario.camera.timeout is not None
+    brakes = scenario.sampled and scenario.camera.timeout is not None
     return found + (evaluated(of_brake, scene) if brakes else [])
 
 
@@ -146,16 +137,15 @@ def _of_rates(scene: Scene) -> Iterator[str]:
 def _of_legs(scene: Scene) -> Iterator[str]:
     robot, forces = scene.scenario.robot, scene.resting_forces(scene.home)
     leg, unit = int(np.abs(forces).argmax()), scene.units.effort
-    friction = scene.scenario.actuators.motor.friction
-    rubs = scene.scenario.actuators.kind == "position_torque" and friction > 0.0
-    needed = abs(forces[leg]) + (friction if rubs else 0.0)
+    sticks = rubs(scene.scenario)
+    needed = abs(forces[leg]) + (scene.scenario.actuators.motor.friction if sticks else 0.0)
     takes, has = apart(needed, robot.force_limit, 3)
-    if not rubs and needed > robot.force_limit:
+    if not sticks and needed > robot.force_limit:
         yield (
             f"robot.force_limit: {has} {unit} is less than the {takes} {unit} that leg {leg + 1} needs to carry the "
             "platform's weight at home"
         )
-    if rubs and needed >= robot.force_limit:
+    if sticks and needed >= robot.force_limit:
         yield (
             f"robot.force_limit: {has} {unit} does not move leg {leg + 1} against actuators.motor.friction and the "
             f"platform's weight at home, together {takes} {unit}"
@@ -166,9 +156,8 @@ def _of_legs(scene: Scene) -> Iterator[str]:
     in_hand = scene.scenario.camera.mount.on == "platform"  # one on the base looks where its platform hangs
     looks_up = in_hand and upward * float(np.diff(scene.home.carried(sight)[:, 2])[0]) > 0
     upright = abs(robot.gravity[2]) > math.hypot(*robot.gravity[:2])
-    if (
-        upright and upward * robot.home_position[2] < 0 and looks_up
-    ):  # a platform that hangs has a camera that looks down
+    # a platform that hangs has a camera that looks down
+    if upright and upward * robot.home_position[2] < 0 and looks_up:
         above = "negative" if z_down else "positive"
         yield (
             f"robot.home_position: z = {quantity(robot.home_position[2], 'm')} puts home below the base, with a camera "
@@ -185,7 +174,7 @@ def _of_legs(scene: Scene) -> Iterator[str]:
 def _of_drives(scene: Scene) -> Iterator[str]:
     """Find rounding and friction that leave the drives of a sampled scenario nothing to act with."""
     scenario, units = scene.scenario, scene.units
-    if scenario.simulation.mode != SAMPLED_MODE:
+    if not scenario.sampled:
         return
     actuators, motor, stroke = scenario.actuators, scenario.actuators.motor, scenario.robot.stroke
     largest = float(np.abs(scene.resting_forces(scene.home)).max())
@@ -213,7 +202,7 @@ def _of_goal(scene: Scene) -> Iterator[str]:
     reach = reach_of_start_and_goal(scene.scenario)
     if not reach.start.within:
         yield f"simulation.start.pose: the start is out of reach: {reach.start.beyond}"
-    speed = _start_speed(scene)
+    speed = float(np.abs(scene.leg_rates(scene.start, scene.settings["simulation.start.twist"])).max())
     limit, rate = scene.scenario.robot.speed_limit, scene.units.rate
     if limit is not None and speed > limit:
         yield (
@@ -233,11 +222,6 @@ def _of_goal(scene: Scene) -> Iterator[str]:
             f"({number(scene.settled_start)} px), so that a run that stays there counts as settled without a motion; "
             "a narrower band shows whether the law gets to the goal"
         )
-
-
-def _start_speed(scene: Scene) -> float:
-    """Return the largest leg rate at the start [m/s]."""
-    return float(np.abs(scene.leg_rates(scene.start, scene.settings["simulation.start.twist"])).max())
 
 
 def _of_image(scenario: Scenario) -> Iterator[str]:

@@ -12,7 +12,6 @@ from hexservo.findings.analysis.loop_of_scenario import NotApplicableError, cloc
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.bisection import last_that_holds
 from hexservo.findings.home_loop import adapting_matrix
-from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.laws import laws_with
 from hexservo.scenario.wording import below, number
@@ -35,7 +34,7 @@ def of_adaptation(scene: Scene) -> Iterator[str]:
         loop, clock = loop_at_home(scenario), clock_of(scenario)
     except NotApplicableError:
         return
-    continuous = scenario.simulation.mode != SAMPLED_MODE
+    continuous = not scenario.sampled
     if not loop.axes or (not continuous and clock.latency // clock.period > loop.few):
         return
 

@@ -52,7 +52,7 @@ def robot_notes(scenario: Scenario, period: float | None = None) -> list[str]:
 
 
 def _of_timeout(scenario: Scenario) -> Iterator[str]:
-    if scenario.simulation.mode != SAMPLED_MODE:
+    if not scenario.sampled:
         yield (
             "the last image is used for ever if no other comes, since a scenario in continuous mode has no timeout: "
             "set simulation.mode=sampled and camera.timeout for a robot"
@@ -66,7 +66,7 @@ def _of_period(scenario: Scenario, period: float) -> Iterator[str]:
 
     Poles do not show what holds a law with dry friction in place of damping (`hybrid`), which runs do.
     """
-    continuous = scenario.simulation.mode != SAMPLED_MODE
+    continuous = not scenario.sampled
     changes: dict[str, Any] = {"simulation.mode": SAMPLED_MODE} if continuous else {}
     if not math.isclose(period, scenario.simulation.step, rel_tol=_ROUNDING):
         ticks = math.ceil(scenario.simulation.duration / period * (1.0 - _ROUNDING))

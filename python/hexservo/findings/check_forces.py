@@ -8,11 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.bisection import last_that_holds
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.fitted import auto_of
 from hexservo.scenario.parameters import reading_ticks
 from hexservo.scenario.pixels import feature_noise
@@ -111,15 +109,10 @@ def start_forces(scene: Scene) -> StartForces:
         None,
     ).wrench
     weight = np.asarray(scene.hexapod.leg_forces(pose.position, pose.quaternion, scene.body.weight(pose.quaternion)))
-    whole = _leg_forces(scene, pose, given)
+    whole = np.array([scene.hexapod.leg_forces(pose.position, pose.quaternion, wrench) for wrench in given])
     up, down = np.split(whole[1:], 2)
     deviation = np.linalg.norm((up - down) / (2.0 * _DEVIATIONS), axis=0)
     return StartForces(weight, np.nan_to_num(whole[0] - weight), np.nan_to_num(deviation))
-
-
-def _leg_forces(scene: Scene, pose: Poses, wrenches: Array) -> Array:
-    """Return the leg forces (n, 6) of wrenches (n, 6) at one pose."""
-    return np.array([scene.hexapod.leg_forces(pose.position, pose.quaternion, wrench) for wrench in wrenches])
 
 
 def _noisy(scene: Scene, coordinates: int) -> tuple[Array, Array, Array]:
@@ -128,7 +121,7 @@ def _noisy(scene: Scene, coordinates: int) -> tuple[Array, Array, Array]:
     No rows in continuous mode, whose loop has no noise.
     """
     scenario = scene.scenario
-    if scenario.simulation.mode != SAMPLED_MODE:
+    if not scenario.sampled:
         return np.zeros((0, coordinates)), np.zeros((0, 6)), np.zeros((0, 6))
     of_camera = feature_noise(scenario.camera) * np.eye(coordinates)
     of_joints = scene.pose_noise.T  # a row for each leg

@@ -16,7 +16,7 @@ from hexservo.findings.check_forces import of_fitted_forces, of_written_forces, 
 from hexservo.findings.coupling import SHARE, has_products, noise_at_rest, settling
 from hexservo.findings.leg_feedback import OF_MARGIN, feedback_margin, integral_margin
 from hexservo.findings.prior import largest_share, left_by_inverse, share_of_prior
-from hexservo.scenario.block import SAMPLED_MODE
+from hexservo.findings.target_path import follows_direction
 from hexservo.scenario.default_gains import is_far, misfit, platform_of_defaults
 from hexservo.scenario.fitted import Machine, auto_of, chosen_keys, fitted_keys, idle_gains
 from hexservo.scenario.keys import value_at
@@ -121,7 +121,7 @@ def _of_band(scene: Scene, law: str) -> Iterator[str]:
     if value_at(scene.scenario, f"{law}.integral") == 0.0:
         return
     left = BEGINS * scene.settings[f"{law}.band"]  # (6,) [m; rad]
-    levers = np.repeat([1.0, scene.platform_radius], 3)  # of the platform's joints
+    levers = scene.levers
     share = left * levers / scene.stroke_length
     axis = int(share.argmax())
     if share[axis] > _WIDE * _ROUNDING:
@@ -185,16 +185,16 @@ def share_of_restarts(scenario: Scenario, law: str, assumed: float | None = None
     true = feature_noise(scenario.camera)
     if assumed is None:
         assumed = value_at(scenario, f"{law}.noise")
-    if scenario.simulation.mode != SAMPLED_MODE or true == 0.0:
+    if not scenario.sampled or true == 0.0:
         return 0.0
-    numbers = 3 if value_at(scenario, f"{law}.follow") == "direction" else 6
+    numbers = 3 if follows_direction(scenario) else 6
     within = _core.all_within(value_at(scenario, f"{law}.jump"), numbers)
     return float(chi2.sf(within * (assumed / _root_of_weights(scenario, law) / true) ** 2, numbers))
 
 
 def _root_of_weights(scenario: Scenario, law: str) -> float:
     """Return by what, at most, the filter's noise is divided: it takes a point of weight w for one of noise/sqrt(w)."""
-    if value_at(scenario, f"{law}.follow") == "direction":  # of shares, in which a common factor has no part
+    if follows_direction(scenario):  # of shares, in which a common factor has no part
         return 1.0
     return math.sqrt(float(np.max(scenario.target.weights)))
 
@@ -203,13 +203,9 @@ def _of_times(scenario: Scenario, key: str, bandwidth: float) -> Iterator[str]:
     step = scenario.simulation.step
     most = OF_SERVO_RATE / step
     if bandwidth > most * _ROUNDING:
-        what = "servo period" if scenario.simulation.mode == SAMPLED_MODE else "step"
+        what = "servo period" if scenario.sampled else "step"
         above = _out_of_bound(key, "above", bandwidth, most)
         yield f"{above}, a quarter of the rate of a {what} of {quantity(step, 's')}"
-    yield from _too_slow(scenario, key, bandwidth)
-
-
-def _too_slow(scenario: Scenario, key: str, bandwidth: float) -> Iterator[str]:
     least = _OF_RUN / scenario.simulation.duration
     if bandwidth < least / _ROUNDING:
         run = quantity(scenario.simulation.duration, "s")
@@ -232,7 +228,7 @@ def image_delay(scenario: Scenario) -> float:
     a wrong stamp is carried too far or too short by that time. Too short is a delay; too far takes less damping, and in
     the end stability, and counts as much. No stamp shows the lag of a filter.
     """
-    if scenario.simulation.mode != SAMPLED_MODE:
+    if not scenario.sampled:
         return 0.0
     age, late = image_age(scenario), actuators_lag(scenario)
     too_far = np.atleast_1d(scenario.uncertainty.depth)
@@ -328,13 +324,6 @@ def _decoupling_laws(scenario: Scenario) -> str:
     return " or ".join(f"{law} with controller.{law}.auto.bandwidth: {bandwidth:g}" for law in laws)
 
 
-def _laws_of_the_pose() -> Iterator[str]:
-    """Yield the laws that find the pose of the image, with a spring to that of the goal."""
-    for law, traits in _core.LAW_TRAITS.items():
-        if traits.pose_error and not traits.inverse:
-            yield law
-
-
 def _of_image(scene: Scene, key: str) -> Iterator[str]:
     """Yield where the law's own structure keeps it from settling as others do."""
     law, machine = scene.scenario.controller.law, scene.machine
@@ -380,7 +369,12 @@ def _of_way(scene: Scene) -> Iterator[str]:
     remedy = f"{traits.inverse} that is larger for shifts" if traits.prior else f"smaller {traits.inverse}"
     bandwidth = auto_of(scene.scenario).bandwidth
     fitted = "" if bandwidth is None else f": {number(bandwidth)}"
-    of_pose = " or ".join(f"{each} with controller.{each}.auto.bandwidth{fitted}" for each in _laws_of_the_pose())
+    # the laws that find the pose of the image, with a spring to that of the goal
+    of_pose = " or ".join(
+        f"{each} with controller.{each}.auto.bandwidth{fitted}"
+        for each, has in _core.LAW_TRAITS.items()
+        if has.pose_error and not has.inverse
+    )
     yield (
         f"controller.{law}.{traits.inverse}: the law first goes to a pose {shift} m and {turn} rad from home, where "
         f"{limit.beyond}, although the legs reach the goal; a {remedy}, or a law of the pose, {of_pose}, does not"

@@ -17,8 +17,6 @@ from hexservo.findings.target_path import moving_keys, path_at
 from hexservo.findings.tracking_runs import MOVED, RUNS, long_enough, seeds_of_runs
 from hexservo.run.batch import simulate_batch, whole
 from hexservo.run.metrics import is_settled
-from hexservo.scenario.arrays import Array
-from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.laws import Tracking
 from hexservo.scenario.rotations import quaternions_of_matrices, unit_rotation_vectors
 from hexservo.scenario.scenario import Scenario
@@ -52,7 +50,7 @@ def of_hold(scene: Scene) -> Iterator[str]:
     `check_tracking`.
     """
     scenario = scene.scenario
-    acts = scene.has_points and not (scenario.simulation.mode == SAMPLED_MODE and scenario.camera.dropout == 1.0)
+    acts = scene.has_points and not (scenario.sampled and scenario.camera.dropout == 1.0)
     goals = find_goals(scene) if acts else None
     if goals is None or not goals.reachable:
         return
@@ -65,7 +63,7 @@ def of_hold(scene: Scene) -> Iterator[str]:
         near = _late(at_rest, starts)
         if near.unsettled:
             yield _of_rest(scene, starts[near.first], near)
-        elif scenario.simulation.mode == SAMPLED_MODE:
+        elif scenario.sampled:
             resting = _late(at_rest)
             if resting.largest > scene.band:
                 yield _of_band(scene, resting)
@@ -148,25 +146,19 @@ def _short(scenario: Scenario) -> Scenario:
 
 def _late(scenario: Scenario, starts: Array | None = None) -> _Late:
     """Return what runs leave with different noise, which only sampled mode has, and from different starts."""
-    sampled = scenario.simulation.mode == SAMPLED_MODE
     variations = {
-        **({"seed": seeds_of_runs(scenario)} if sampled else {}),
+        **({"seed": seeds_of_runs(scenario)} if scenario.sampled else {}),
         **({} if starts is None else {"simulation.start.pose": starts}),
     }
     batch = whole(simulate_batch(scenario, variations, log="trajectory", metrics=("settling_time",)))
     features = batch.samples["feature_error"]
-    ended = batch.outcome != "completed"
-    errors = np.where(ended, np.inf, np.abs(_late_half(np.nan_to_num(features, nan=np.inf))).max(axis=(1, 2)))
+    ended, late = batch.outcome != "completed", np.nan_to_num(features[:, features.shape[1] // 2 :], nan=np.inf)
+    errors = np.where(ended, np.inf, np.abs(late).max(axis=(1, 2)))
     unsettled = ~is_settled(batch.outcome, batch.metrics["settling_time"])
     outcome = str(batch.outcome[ended][0]) if ended.any() else "completed"
     largest = float(errors[~ended].max(initial=0.0))
     first = int((ended if ended.any() else unsettled).argmax())
     return _Late(scenario, float(np.median(errors)), largest, int(unsettled.sum()), first, outcome)
-
-
-def _late_half(samples: Array) -> Array:
-    """Return the second half of samples (n, m, k)."""
-    return samples[:, samples.shape[1] // 2 :]
 
 
 def _still(scene: Scene, goal: GoalPose, scenario: Scenario) -> float:

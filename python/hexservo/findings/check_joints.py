@@ -8,7 +8,6 @@ from collections.abc import Iterator
 import numpy as np
 
 from hexservo.findings.analysis.scene import Scene
-from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.parameters import reading_ticks
 from hexservo.scenario.wording import number, quantity
 
@@ -25,7 +24,7 @@ def of_joints(scene: Scene) -> Iterator[str]:
     that take positions rest up to once the rounding away from the goal, and noise hardly moves them.
     """
     scenario, law = scene.scenario, scene.scenario.controller.law
-    if scenario.simulation.mode != SAMPLED_MODE or scene.joint_noise == 0.0:
+    if not scenario.sampled or scene.joint_noise == 0.0:
         return
     if scenario.actuators.takes_positions:
         yield from _of_rounding(scene)

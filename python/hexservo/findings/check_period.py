@@ -8,7 +8,6 @@ import numpy as np
 
 from hexservo.findings.bisection import last_that_holds
 from hexservo.scenario.arrays import Complex
-from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.laws import LAWS
 from hexservo.scenario.parameters import reading_ticks
 from hexservo.scenario.scenario import Scenario
@@ -41,7 +40,7 @@ def of_period(scenario: Scenario, rate: float | None, exported: float | None = N
     """
     if rate is None or scenario.controller.law not in LAWS:
         return
-    if exported is None and scenario.simulation.mode != SAMPLED_MODE:
+    if exported is None and not scenario.sampled:
         return
     period = scenario.simulation.step if exported is None else exported
     readings = reading_ticks(scenario, period)
@@ -72,7 +71,7 @@ def of_step(scenario: Scenario, poles: Complex) -> Iterator[str]:
         Of law and plant [1/s], as by `poles_at_home`.
     """
     decaying = poles[poles.real <= _ROUNDED * np.abs(poles)]
-    if scenario.simulation.mode == SAMPLED_MODE or not _diverges(decaying, scenario.simulation.step):
+    if scenario.sampled or not _diverges(decaying, scenario.simulation.step):
         return
     step = scenario.simulation.step
     longest = last_that_holds(lambda shorter: not _diverges(decaying, shorter), 0.0, step, _HALVES)

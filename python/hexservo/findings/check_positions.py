@@ -7,14 +7,13 @@ from collections.abc import Iterator
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.check_sag import of_sag
 from hexservo.findings.check_way import of_way
-from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.wording import quantity
 
 
 def of_positions(scene: Scene) -> Iterator[str]:
     """Yield a sentence for each problem of a scenario whose legs take positions; nothing for others."""
     scenario = scene.scenario
-    if scenario.simulation.mode == SAMPLED_MODE and scenario.actuators.kind != "force":
+    if scenario.sampled and scenario.actuators.kind != "force":
         yield from _of_speed(scene)
         yield from of_way(scene)
         yield from of_sag(scene)

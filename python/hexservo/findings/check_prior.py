@@ -26,8 +26,8 @@ def of_prior(scene: Scene) -> Iterator[str]:
         return
     machine = scene.machine
     left = left_by_inverse(scene, machine)
-    levers = np.repeat([1.0, scene.platform_radius], 3)
-    if not np.linalg.norm(levers * left) > _LEFT * np.linalg.norm(levers * machine.displacement):  # NaN: no goal pose
+    way = scene.levers * machine.displacement
+    if not np.linalg.norm(scene.levers * left) > _LEFT * np.linalg.norm(way):  # NaN: no goal pose
         return
     pixels = float(np.abs(machine.jacobian @ left)[machine.weights > 0.0].max())
     yield (

@@ -46,12 +46,12 @@ def of_sag(scene: Scene) -> Iterator[str]:
     assert isinstance(gains, Tracking)
     reach = _reach(scene, gains)
     if sag.lead > reach:
-        unit, rate = scene.units.coordinate, scene.units.rate
+        unit, least = scene.units.coordinate, float(above(sag.lead / _lead_time(scene), 2))
         yield (
             f"controller.tracking.feedback: the weight at the goal needs a command {quantity(sag.lead, unit)} beside a "
             f"leg (its force over actuators.motor.kp), and with a feedback the law commands at most "
             f"{quantity(reach, unit)} beside the measured one (actuators.position.speed_limit), so that the platform "
-            f"sinks; take a larger kp, a speed limit of {quantity(_limit_for(scene, sag.lead), rate)} or more, or a "
+            f"sinks; take a larger kp, a speed limit of {quantity(least, scene.units.rate)} or more, or a "
             "feedback of 0"
         )
     if sag.lead > reach or sag.certain <= scene.band:
@@ -70,7 +70,7 @@ def of_sag(scene: Scene) -> Iterator[str]:
             f"actuators.motor.kp: the weight at the goal moves a leg by {off} (its force over kp), {rest}, and no term "
             f"of the law corrects that; take a larger kp, or {remedy}"
         )
-    elif not sag.begins(band_of(gains)):
+    elif not sag.begins(scene.settings["controller.tracking.band"]):
         yield (
             f"controller.tracking.band: the integral begins beyond twice the band, and the weight at the goal moves "
             f"the platform by {both(sag.shift)} only (a leg by {off}, its force over actuators.motor.kp), {rest}; take "
@@ -84,11 +84,6 @@ def _reach(scene: Scene, gains: Tracking) -> float:
     return np.inf if gains.feedback == 0.0 or limit is None else limit * _lead_time(scene)
 
 
-def _limit_for(scene: Scene, needed: float) -> float:
-    """Return the speed limit with which the law commands so far from the legs, to two digits."""
-    return float(above(needed / _lead_time(scene), 2))
-
-
 def _lead_time(scene: Scene) -> float:
     response = scene.scenario.actuators.position
     lag = response.damping / (math.pi * response.bandwidth)  # 2 zeta/w
@@ -99,11 +94,6 @@ def both(motion: Array) -> str:
     """Return the largest shift and rotation of a motion (6,) with their units."""
     shift, turn = (float(np.abs(part).max()) for part in np.split(motion, 2))
     return f"{quantity(shift, 'm', 2)} and {quantity(turn, 'rad', 2)}"
-
-
-def band_of(gains: Tracking) -> Array:
-    """Return the band of the integral by axis, (6,) [m; rad]."""
-    return np.array(np.broadcast_to(np.asarray(gains.band, dtype=float), 6))
 
 
 def sag_of(scene: Scene) -> Sag | None:

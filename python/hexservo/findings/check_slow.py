@@ -26,7 +26,9 @@ def of_slow(scene: Scene) -> Iterator[str]:
         The law cannot be evaluated at home.
     """
     scenario = scene.scenario
-    if scenario.controller.traits.output == "pose" or _all_fitted(scenario):
+    if scenario.controller.traits.output == "pose":
+        return
+    if auto_of(scenario).bandwidth is not None and not chosen_keys(scenario):  # all gains are fitted
         return
     left = least_image_error(scene)
     key = f"controller.{scenario.controller.law}"
@@ -47,7 +49,3 @@ def _remedy(scenario: Scenario, key: str) -> str:
     if auto_of(scenario).bandwidth is None:
         return f"{key}.auto.bandwidth fits gains to the machine"
     return f"null for {' and '.join(f'{key}.{name}' for name in chosen_keys(scenario))} leaves them to {key}.auto"
-
-
-def _all_fitted(scenario: Scenario) -> bool:
-    return auto_of(scenario).bandwidth is not None and not chosen_keys(scenario)

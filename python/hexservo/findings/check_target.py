@@ -13,8 +13,7 @@ from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.reach import nearest_limit, reach_of_start_and_goal
 from hexservo.findings.analysis.scene import AT_REST, Scene
-from hexservo.findings.target_path import TargetPath, at_rest, moving_keys, path_of, sinusoid_in_base
-from hexservo.scenario.laws import Tracking
+from hexservo.findings.target_path import TargetPath, at_rest, follows_direction, moving_keys, path_of, sinusoid_in_base
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.pixels import points_outside
 from hexservo.scenario.scenario import Scenario
@@ -34,7 +33,7 @@ def of_target(scene: Scene) -> Iterator[str]:
     """
     if not scene.has_points:
         return
-    yield from _of_pointing(scene) if _points(scene) else ()
+    yield from _of_pointing(scene) if follows_direction(scene.scenario) else ()
     if moving_keys(scene.scenario):
         yield from _of_way(scene)
         yield from _of_frames(scene.scenario)
@@ -79,7 +78,7 @@ class Leaving:
 @lru_cache(maxsize=8)  # several checks ask
 def leaves_reach(scene: Scene) -> Leaving | None:
     """Return how a target leaves the reach; None where it does not, or where the goal at rest is beyond already."""
-    path, pointing = path_of(scene), _points(scene)
+    path, pointing = path_of(scene), follows_direction(scene.scenario)
     poses, resting = (_way(scene, each, pointing) for each in (path, at_rest()))
     if poses is None or resting is None or not scene.reachable(resting)[0]:  # `check` names a goal out of reach at rest
         return None
@@ -88,11 +87,6 @@ def leaves_reach(scene: Scene) -> Leaving | None:
     if not beyond.any() or not (by_pose or _beyond_for_good(scene, path, poses)):
         return None
     return Leaving(int(beyond.argmax()), path, poses)
-
-
-def _points(scene: Scene) -> bool:
-    """Return whether the law points the camera at the target, and goes to no place."""
-    return isinstance(gains := scene.scenario.controller.gains, Tracking) and gains.follow == "direction"
 
 
 def _beyond_for_good(scene: Scene, path: TargetPath, poses: Poses) -> bool:

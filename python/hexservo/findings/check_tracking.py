@@ -168,8 +168,7 @@ def _of_band(scene: Scene, gains: Tracking) -> Iterator[str]:
     scenario = scene.scenario
     if gains.integral == 0.0 or gains.follow != "pose" or scenario.target.motion.kind != "none":
         return
-    off = off_reference(scene, gains)
-    band = np.broadcast_to(np.asarray(gains.band, dtype=float), 6)
+    off, band = off_reference(scene, gains), scene.settings["controller.tracking.band"]
     axis = int((off / band).argmax())
     if off[axis] > band[axis]:
         unit = "m" if axis < 3 else "rad"
@@ -245,7 +244,7 @@ def steady_filter(scene: Scene, gains: Tracking) -> SteadyFilter:
     """
     period = frame_period(scene.scenario)
     variance = gains.noise**2 * _variance_per_pixel(scene, gains)
-    acceleration = np.broadcast_to(np.asarray(gains.acceleration, dtype=float), 6)[: len(variance)]
+    acceleration = scene.settings["controller.tracking.acceleration"][: len(variance)]
     of_modes, modes = np.linalg.eigh(variance / np.outer(acceleration, acceleration))
     reading = np.sqrt(of_modes)
     index = period**2 / reading

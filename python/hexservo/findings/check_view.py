@@ -8,9 +8,8 @@ import numpy as np
 
 from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.scene import Scene
-from hexservo.findings.target_path import moving_keys
+from hexservo.findings.target_path import follows_direction, moving_keys
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.laws import Tracking
 from hexservo.scenario.pixels import points_outside
 from hexservo.scenario.plane import Triangle, side_of_plane, triangle_of_plane
 
@@ -42,7 +41,9 @@ def of_straight_way(scene: Scene) -> Iterator[str]:
     Those are the laws without an image Jacobian. Of a target at rest; another start than `of_plane` asks for is left
     out.
     """
-    goal = _goal(scene) if scene.scenario.camera.image_size is not None and _goes_straight(scene) else None
+    scenario = scene.scenario
+    straight = not scenario.controller.traits.depth and not follows_direction(scenario)
+    goal = _goal(scene) if scenario.camera.image_size is not None and straight else None
     if goal is None:
         return
     triangle = triangle_of_plane(scene.points)
@@ -60,12 +61,6 @@ def _sides(scene: Scene, triangle: Triangle) -> float:
     """Return the product of the sides on which start and goal are; NaN where a point is not seen from the start."""
     start = scene.view(scene.start).features
     return float(side_of_plane(start, triangle) * side_of_plane(scene.desired, triangle))
-
-
-def _goes_straight(scene: Scene) -> bool:
-    controller = scene.scenario.controller
-    directed = isinstance(controller.gains, Tracking) and controller.gains.follow != "pose"
-    return not controller.traits.depth and not directed
 
 
 def _of_way(scene: Scene, goal: Array) -> Iterator[str]:

@@ -13,6 +13,7 @@ from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.bisection import last_that_holds
+from hexservo.findings.target_path import follows_direction
 from hexservo.scenario.laws import Tracking
 from hexservo.scenario.motion import moves
 from hexservo.scenario.wording import number, quantity
@@ -69,11 +70,10 @@ def of_way(scene: Scene) -> Iterator[str]:
 def way_of(scene: Scene) -> Way | None:
     """Return the way to a goal at rest, straight in the legs and in the pose; None for other tasks and machines."""
     scenario = scene.scenario
-    gains = scenario.controller.gains
     moving = scenario.target.motion.kind != "none" or moves(scenario.base_motion)
     if moving or np.any(scenario.simulation.start.twist) or scene.settled_start is not None:
         return None
-    if isinstance(gains, Tracking) and gains.follow != "pose":
+    if follows_direction(scenario):
         return None
     goals = find_goals(scene)
     if goals is None or not goals.reachable:

@@ -14,7 +14,6 @@ from hexservo.findings.analysis.rest import Rest
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.prior import key_of_inverse, left_by_inverse, weight_of_inverse
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.fitted import UPTAKE, Machine, auto_of
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.pixels import feature_noise
@@ -130,7 +129,7 @@ def noise_at_rest(scene: Scene) -> Noise:
 
     scenario, machine = scene.scenario, scene.machine
     traits, noise = _core.LAW_TRAITS[scenario.controller.law], feature_noise(scenario.camera)
-    if scenario.simulation.mode != SAMPLED_MODE or noise == 0.0:
+    if not scenario.sampled or noise == 0.0:
         return Noise(0.0, 0.0)
     key = key_of_inverse(scene)
     if not (traits.pose_error and key and "damping" in traits.parts):

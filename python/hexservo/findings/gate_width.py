@@ -18,9 +18,7 @@ from hexservo.scenario.wording import number, percent_used
 REJECTED = 0.001
 """Share of right points that a gate may reject."""
 _FEW = 0.01  # share of points below which whole percents are too coarse
-_IN_NOISE = math.sqrt(
-    -4.0 * math.log(REJECTED)
-)  # sqrt(2 chi2), with the quantile chi2 = -2 log(REJECTED) for 2 numbers
+_IN_NOISE = math.sqrt(-4.0 * math.log(REJECTED))  # sqrt(2 chi2), the quantile -2 log(REJECTED) for 2 numbers
 
 
 def predicts(scenario: Scenario) -> bool:

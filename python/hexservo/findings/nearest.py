@@ -26,7 +26,7 @@ _Function: TypeAlias = Callable[[Array], Array]
 def distance(scene: Scene, one: Array, other: Array) -> float:
     """Return the distance between displacements of home [m]: that of the poses, not of the numbers."""
     between = scene.home.moved(one).displacement_from(scene.home.moved(other))
-    return float(np.linalg.norm(between * _metric(scene)))
+    return float(np.linalg.norm(between * scene.levers))
 
 
 def nearest_within(scene: Scene, wanted: Array) -> Array:
@@ -56,13 +56,9 @@ def _within(scene: Scene, found: Array) -> Array | None:
     return None
 
 
-def _metric(scene: Scene) -> Array:
-    return np.repeat([1.0, scene.platform_radius], 3)  # [m; m/rad]
-
-
 def _unit(scene: Scene) -> Array:
     """Return the displacements that move a platform joint by about the stroke, (6,) [m; rad]."""
-    return np.asarray(scene.stroke_length / _metric(scene))
+    return np.asarray(scene.stroke_length / scene.levers)
 
 
 def _away(scene: Scene, wanted: Array) -> _Function:

@@ -12,6 +12,7 @@ import numpy as np
 from hexservo import _core
 from hexservo.findings.analysis.image_estimate import estimate_of_image
 from hexservo.findings.analysis.scene import Scene
+from hexservo.findings.target_path import follows_direction
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.fitted import Machine
 from hexservo.scenario.keys import value_at
@@ -68,9 +69,9 @@ def legs_of_noise(scene: Scene) -> Array:
     Of 1 px of noise n in each coordinate at the start: the legs of (J^T W J + M)^-1 J^T W n, with all of M. Of rotary
     legs [rad/px]. Zero for a law that estimates no pose; NaN where the image gives none.
     """
-    gains, key = scene.scenario.controller.gains, key_of_inverse(scene)
+    key = key_of_inverse(scene)
     inverts = key or scene.scenario.controller.traits.points
-    if not inverts or getattr(gains, "follow", "pose") != "pose":
+    if not inverts or follows_direction(scene.scenario):
         return np.zeros(6)
     view = scene.view(scene.start)
     units = np.repeat([1.0, view.mean_depth], 3)  # columns of one size

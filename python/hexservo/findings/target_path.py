@@ -10,6 +10,7 @@ import numpy as np
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.laws import Tracking
 from hexservo.scenario.motion import TargetMotion, displacements_of, moves
 from hexservo.scenario.rotations import conjugate, quaternion_product, quaternions_of_matrices
 from hexservo.scenario.scenario import Scenario
@@ -66,6 +67,12 @@ def at_rest() -> TargetPath:
 def base_moves_target(scenario: Scenario) -> bool:
     """Return whether a base moves before a target that does not ride on it."""
     return scenario.target.frame == "world" and moves(scenario.base_motion)
+
+
+def follows_direction(scenario: Scenario) -> bool:
+    """Return whether the law points the camera at its target, and goes to no place."""
+    gains = scenario.controller.gains
+    return isinstance(gains, Tracking) and gains.follow == "direction"
 
 
 def moving_keys(scenario: Scenario) -> tuple[str, ...]:

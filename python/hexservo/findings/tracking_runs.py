@@ -13,6 +13,7 @@ import numpy as np
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.gate_width import moved_between_frames
+from hexservo.findings.target_path import follows_direction
 from hexservo.run.batch import BatchResult, simulate_batch, whole
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.keys import value_at
@@ -52,7 +53,7 @@ class Following:
     @property
     def directs(self) -> bool:
         """Return whether the law follows a direction, not a pose."""
-        return _directs(self.scenario)
+        return follows_direction(self.scenario)
 
     @property
     def since(self) -> float:
@@ -207,10 +208,6 @@ def seeds_of_runs(scenario: Scenario) -> Array:
     return np.asarray(scenario.seed + np.arange(RUNS))
 
 
-def _directs(scenario: Scenario) -> bool:
-    return bool(scenario.controller.gains.follow == "direction")
-
-
 def _run(scenario: Scenario, variations: Mapping[str, Array]) -> BatchResult:
     return whole(simulate_batch(scenario, variations, log="trajectory", metrics=()))
 
@@ -225,7 +222,7 @@ def _largest(scene: Scene, batch: BatchResult, since: float) -> Array:
 
 def _errors(scene: Scene, features: Array) -> Array:
     """Return the error [px] of differences of features (..., 2p) [px] from the goal, (...)."""
-    if _directs(scene.scenario):
+    if follows_direction(scene.scenario):
         points = features.reshape(*features.shape[:-1], -1, 2)
         features = np.einsum("p,...pk->...k", scene.shares, points)
     return np.asarray(np.abs(features).max(axis=-1))

@@ -70,8 +70,13 @@ class Scenario(Blocks):
         core_parameters(self)
         return self
 
+    @property
+    def sampled(self) -> bool:
+        """Whether time is sampled: camera, sensors and actuators act as devices, with their times."""
+        return self.simulation.mode == SAMPLED_MODE
+
     def _refuse_keys_without_effect(self) -> None:
-        if self.simulation.mode == SAMPLED_MODE:
+        if self.sampled:
             idle = idle_gains(self)  # most have none, and need not fit their gains here
             if given := idle and sorted(idle.intersection(chosen_keys(self))):
                 raise ValueError(

@@ -154,9 +154,8 @@ def _check(at_rest: LoopAtRest, found: Margins) -> tuple[BorderRun, ...]:
     loop = replace(loop_at_rest(home).free, by_eigenvalues=not found.perfect)
     clock, tick = clock_of(home), home.simulation.step
     drifts = found.drifts
-    if loop.growing(Clock(1, 0)) != at_rest.free.growing(
-        Clock(1, 0)
-    ):  # another attitude, another verdict: nothing to compare
+    perfect = Clock(1, 0)
+    if loop.growing(perfect) != at_rest.free.growing(perfect):  # another attitude, another verdict: not to be compared
         return ()
     border = found.gain[1] if found.gain[1] is not None else found.gain[0]
     if border is not None:

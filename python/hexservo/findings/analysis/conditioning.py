@@ -12,7 +12,6 @@ from hexservo.findings.analysis.poses import without_sign
 from hexservo.findings.analysis.scene import Scene, View, scene_of
 from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.pixels import feature_noise
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number
@@ -31,9 +30,7 @@ class Sight:
     length: float  # L [m], the points' mean depth: of what turns are multiplied by where metres and radians are mixed
     values: Array  # (6,) singular values of J as it stands [px/m and px/rad], falling
     scaled_values: Array  # (6,) of J diag(1, 1/L) [px/m], falling
-    directions: (
-        Array  # (6, 6), row k belongs to scaled_values[k]: shift [m] and rotation vector [rad], unit of length 1 m
-    )
+    directions: Array  # (6, 6), row k of scaled_values[k]: shift [m] and rotation vector [rad], unit of length 1 m
     pose_sigma: Array  # (6,) [m; rad] per px: least squares, 1 px of noise in each coordinate
     small_shift: float  # [m], of the displayed least observable motion
 
@@ -107,7 +104,7 @@ def noise_of(scenario: Scenario) -> float:
 
 def frames_noise(scenario: Scenario) -> float:
     """Return the noise and rounding of the camera's frames [px]; 0 where the image is exact."""
-    return feature_noise(scenario.camera) if scenario.simulation.mode == SAMPLED_MODE else 0.0
+    return feature_noise(scenario.camera) if scenario.sampled else 0.0
 
 
 def noise_in_words(scenario: Scenario) -> str:

@@ -16,6 +16,7 @@ from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.poses import Poses, without_sign
 from hexservo.findings.analysis.rest import Rest, not_analysed, springs_of
 from hexservo.findings.analysis.scene import scene_of
+from hexservo.findings.bisection import last_that_holds
 from hexservo.findings.part import Part
 from hexservo.scenario.arrays import Array, Complex, Mask
 from hexservo.scenario.parameters import core_parameters
@@ -420,13 +421,11 @@ class _Worker:
             return None
         high = float(grid[lost[0]])
         low = float(grid[lost[0] - 1]) if lost[0] else 0.0
-        for _ in range(_ROUNDS):
-            middle = (low + high) / 2
-            if self.over_sizes(place, np.array([middle]), self.inverse, self.expected)[0] > 0.0:
-                low = middle
-            else:
-                high = middle
-        return low
+
+        def positive(size: float) -> bool:
+            return bool(self.over_sizes(place, np.array([size]), self.inverse, self.expected)[0] > 0.0)
+
+        return last_that_holds(positive, low, high, _ROUNDS)
 
     def loop(self, own: Array, largest: float) -> LoopUnderErrors | None:
         """Return the linear loop with the scenario's own errors (p,), and up to a size of all patterns."""

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from hexservo.scenario.arrays import Array, Complex
-from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.parameters import actuators_lag, frame_period, image_age, lost_frames_wait
 from hexservo.scenario.scenario import Scenario
 
@@ -37,7 +36,7 @@ def lateness(scenario: Scenario) -> Lateness | None:
     step = scenario.simulation.step
     age = image_age(scenario) if predicts else 0.0
     mean = age + (max(actuators_lag(scenario) - 0.5 * step, 0.0) if leads else 0.0)
-    if scenario.simulation.mode != SAMPLED_MODE or mean <= 0.0:
+    if not scenario.sampled or mean <= 0.0:
         return None
     kinds = ["its mean age"] * (age > 0.0) + ["the lag of the legs"] * (mean > age)
     return Lateness(

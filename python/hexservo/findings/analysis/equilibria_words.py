@@ -157,7 +157,7 @@ def _items(result: Equilibria) -> list[Item]:
                 lambda e: displacement_parts(e.displacement, result.depth)[1],
             ),
             (Column("largest leg travel", result.leg_unit, ".3g"), lambda e: 1e3 * float(np.abs(e.leg_travel).max())),
-            (Column("reachable"), lambda e: "yes" if e.reachable else "no"),
+            (Column("reachable"), lambda e: e.reachable),
             (Column("smallest eigenvalue", "1/s^2", ".3g"), lambda e: float(e.eigenvalues[0].real)),
             (Column("slowest mode", "1/s", ".3g"), lambda e: e.growth),
             (Column("searches that ended here", "", "d"), lambda e: e.starts),

@@ -133,7 +133,7 @@ def _nearest(scene: Scene, best: GoalPose) -> GoalPose:
     from scipy.optimize import minimize
 
     allowed = best.largest_residual + TOLERANCE
-    metric = np.repeat([1.0, scene.platform_radius], 3)  # [m; m/rad]
+    metric = scene.levers
     unit = float(np.linalg.norm(metric * best.displacement))  # [m]
     if unit <= 1e-12 * scene.depth:  # home shows the goal image
         return best

@@ -83,14 +83,14 @@ def _sentences(found: LargestStart) -> list[str]:
         words.append(
             f"In the direction of the task no error was found that settles within {found.duration:g} s: the "
             f"smallest that was tried, {own.fails_at:.3g} times the task ({_amount(own, own.fails_at)}), already "
-            f"fails{_by_seeds(found, own, ' (', ')')} (empirical)."
+            f"fails{_in_brackets(_by_seeds(found, own))} (empirical)."
         )
     else:
         factors = apart(own.settles_to, own.fails_at, 3)
         words.append(
             f"In the direction of the task errors settle within {found.duration:g} s and {_WITHIN} up to "
             f"{factors[0]} times the task ({_amount(own, own.settles_to)}, {own.error:.3g} px); "
-            f"{factors[1]} times {_failure(found, own)}{_by_seeds(found, own, ' (', ')')} (empirical)."
+            f"{factors[1]} times {_failure(found, own)}{_in_brackets(_by_seeds(found, own))} (empirical)."
         )
     words.append(_others(found))
     words += _timing_words(found) or [_not_settled(found)]
@@ -149,7 +149,7 @@ def _others(found: LargestStart) -> str:
     return (
         f"{of} goals that do not settle within {found.duration:g} s{the_worst}: "
         + (f"up to {settles} settle" if worst.settles_to else "none that was tried settles")
-        + f", {fails} {_failure(found, worst)}{_by_seeds(found, worst, ' (', ')')}, of "
+        + f", {fails} {_failure(found, worst)}{_in_brackets(_by_seeds(found, worst))}, of "
         f"{_amount(worst, worst.largest)} that were possible."
     )
 
@@ -221,20 +221,24 @@ def _timing_words(found: LargestStart) -> list[str]:
 
 def _doubt(found: LargestStart, timing: Timing) -> str:
     """Return what speaks against a limit of a camera time: other seeds, and larger times that settle."""
-    doubts = [_by_seeds(found, timing)] if timing.reseeded else []
-    if timing.settles_again is not None:
-        doubts.append(f"some larger ones settle, up to {in_ms(timing.settles_again)}")
-    return f" ({'; '.join(doubts)})" if doubts else ""
+    again = timing.settles_again
+    larger = "" if again is None else f"some larger ones settle, up to {in_ms(again)}"
+    return _in_brackets(_by_seeds(found, timing), larger)
 
 
-def _by_seeds(found: LargestStart, tried: Direction | Timing, before: str = "", after: str = "") -> str:
+def _in_brackets(*doubts: str) -> str:
+    some = "; ".join(filter(None, doubts))
+    return f" ({some})" if some else ""
+
+
+def _by_seeds(found: LargestStart, tried: Direction | Timing) -> str:
     """Return in how many runs with other seeds the smallest size or time that fails settles; empty without noise."""
     count, settles = len(tried.reseeded), sum(tried.reseeded)
     if not count:
         return ""
     runs = {0: "none", count: "all"}.get(settles, str(settles))
     of = f"of {count} runs of {found.duration:g} s with other seeds"
-    return f"{before}{of} {runs} settle{'s' if settles == 1 else ''}{after}"
+    return f"{of} {runs} settle{'s' if settles == 1 else ''}"
 
 
 def _task(found: LargestStart) -> str:
@@ -264,11 +268,11 @@ def _items(found: LargestStart) -> list[Item]:
             (Column("settles up to"), _settles_to),
             (Column("its image error", "px", ".3g"), lambda d: finite(d.error)),
             (Column("smallest that fails"), lambda d: None if d.fails_at is None else border_words(d)[1]),
-            (Column(longer), lambda d: None if d.settles_later is None else "yes" if d.settles_later else "no"),
+            (Column(longer), lambda d: d.settles_later),
             (Column(f"other seeds that settle in {found.duration:g} s"), _of_seeds),
             (Column("largest possible"), lambda d: _amount(d, d.largest)),
             (Column("limited by"), lambda d: d.limited_by.replace("_", " ")),
-            (Column("settles again beyond"), lambda d: "yes" if d.settles_again else "no"),
+            (Column("settles again beyond"), lambda d: d.settles_again),
             (
                 Column("fails by the legs' limits alone from"),
                 lambda d: None if d.beyond_limits is None else _amount(d, d.beyond_limits),
@@ -298,7 +302,7 @@ def _items(found: LargestStart) -> list[Item]:
                     (Column("the other one", "ms", ".4g"), lambda t: 1e3 * t.other),
                     (Column("settles up to", "ms", ".4g"), lambda t: _milli(t.settles_to)),
                     (Column("smallest that fails", "ms", ".4g"), lambda t: _milli(t.fails_at)),
-                    (Column(longer), lambda t: None if t.settles_later is None else "yes" if t.settles_later else "no"),
+                    (Column(longer), lambda t: t.settles_later),
                     (Column(f"other seeds that settle in {found.duration:g} s"), _of_seeds),
                     (Column("settles again up to", "ms", ".4g"), lambda t: _milli(t.settles_again)),
                     (Column("fails below its own", "ms", ".4g"), lambda t: _milli(t.fails_below)),

@@ -74,7 +74,7 @@ class Timing:
 def camera_times(scenario: Scenario, trial: SettlingRuns) -> tuple[tuple[Timing, ...], str]:
     """Try periods and latencies for the task itself, in the sampled loop."""
     assumed, changes = "", {}
-    if scenario.simulation.mode != "sampled":
+    if not scenario.sampled:
         assumed = f"sampled every {1e3 * scenario.simulation.step:.3g} ms"
         changes["simulation.mode"] = "sampled"
         if scenario.controller.law in laws_with("switching") and scenario.controller.switching.kind == "sign":

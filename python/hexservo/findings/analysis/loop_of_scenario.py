@@ -168,7 +168,7 @@ def loop_at_rest(scenario: Scenario) -> LoopAtRest:
         smooth = _loop(calm, linear_law(calm, scene, pose, smooth=True), plant) if slope.any() else None
     except NoRestError as error:
         raise NotApplicableError(str(error)) from error
-    as_if_sampled = scenario.simulation.mode == "continuous"
+    as_if_sampled = not scenario.sampled
     own = {key: value_at(scenario, key) for key in ("uncertainty.gravity", *AT_HOME)}
     return LoopAtRest(calm, as_if_sampled, rest, free, smooth, slope, calm.updated(own))
 
@@ -424,7 +424,7 @@ def growth(
         # Forward kinematics of legs of some metres may miss its tolerance: no statement on stability.
         lost = result.outcome == "solver_failed" and np.max(np.abs(result.feature_error[-1])) < 1.0
         return np.nan if lost else np.inf
-    twist = result.twist[::every] * np.repeat([1.0, scene.platform_radius], 3)
+    twist = result.twist[::every] * scene.levers
     for multiplier in [*without, *([1.0, 1.0] if angle > 1e-3 else [])]:
         twist = twist[1:] - multiplier * twist[:-1]
     turned = twist * np.exp(-1j * angle * np.arange(len(twist)))[:, None]

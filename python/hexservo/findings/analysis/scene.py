@@ -124,6 +124,11 @@ class Scene:
         return ""
 
     @property
+    def levers(self) -> Array:
+        """How far a platform joint moves by a displacement, axis by axis, at most, (6,) [1; m/rad]."""
+        return np.repeat([1.0, self.platform_radius], 3)
+
+    @property
     def small_shift(self) -> float:
         """A shift [m] of the size in which motions are shown.
 

@@ -104,7 +104,7 @@ def _time_constants(rates: Array) -> Array:
 def _motion(scene: Scene, pose: Poses, stiffness: Array) -> _Motion:
     """Return the motion about a pose with a stiffness (6, 6)."""
     scenario, gains = scene.scenario, gains_of(scene.settings)
-    if scenario.simulation.mode == "sampled":
+    if scenario.sampled:
         loop, clock = smooth_loop_at(scenario, pose)
         start = loop.resting_at(clock)
         if len(start) > _LARGEST:

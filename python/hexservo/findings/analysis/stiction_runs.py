@@ -74,11 +74,12 @@ def run(scene: Scene, law: RestLaw, rest: RestSet, ends: Extremes, kv: Array, fu
         "simulation.log_every": 1,
         f"controller.{name}.fuzzy.enabled": fuzzy,
     }
-    if scenario.simulation.mode == "sampled":
+    if scenario.sampled:
         quiet = dict.fromkeys(("noise", "quantisation", "dropout", "outlier_probability"), 0.0)
         changes |= {f"camera.{key}": value for key, value in quiet.items()}
         changes |= {**AT_REST, "sensors.noise": 0.0, "camera.image_size": None}
-    goals = _goals(scene, rest, ends)
+    moved = scene.home.moved(_displacements(rest, ends))
+    goals = np.vstack([scene.desired, scene.image(moved)[0]])
     batch = whole(simulate_batch(scenario.updated(changes), {"target.desired_features": goals}, threads=2))
 
     home = scene.view(scene.home)
@@ -98,7 +99,7 @@ def run(scene: Scene, law: RestLaw, rest: RestSet, ends: Extremes, kv: Array, fu
         with np.errstate(divide="ignore"):
             still = np.minimum(still, _DAMPED * kv / gains_of(settings).kd)
     at_rest = np.asarray((speed <= still).all(axis=1))
-    aims = Poses.joined(scene.home, scene.home.moved(_displacements(rest, ends)))  # that of the first is not used
+    aims = Poses.joined(scene.home, moved)  # that of the first is not used
     near = np.abs(scene.leg_travel(poses) - scene.leg_travel(aims)).max(axis=1) <= scene.stroke
     slow = completed & at_rest & near
     slow[0] = False
@@ -142,7 +143,3 @@ def _displacements(rest: RestSet, ends: Extremes) -> Array:
         most = min(rest.stroke / np.abs(rest.leg_rates @ d).max(), float((rest.span / np.abs(d)).min()))
         free.append(d * random.uniform(0.1, 0.5) * most)
     return np.array(held + free)
-
-
-def _goals(scene: Scene, rest: RestSet, ends: Extremes) -> Array:
-    return np.vstack([scene.desired, scene.image(scene.home.moved(_displacements(rest, ends)))[0]])

@@ -264,20 +264,14 @@ def _run_table(found: Stiction) -> Table:
     for runs in found.runs:
         counted = runs.counted
         inside = runs.start_share <= 1.0
+        values = (runs.start_error, runs.final_error, runs.final_share)
         for name, which in (("inside", counted & inside), ("outside", counted & ~inside)):
             rows.append(
                 [
                     "on" if runs.fuzzy else "off",
                     name,
                     int(which.sum()),
-                    *(
-                        [
-                            float(values[which].max())
-                            for values in (runs.start_error, runs.final_error, runs.final_share)
-                        ]
-                        if which.any()
-                        else [None] * 3
-                    ),
+                    *(float(of[which].max()) if which.any() else None for of in values),
                 ]
             )
     return Table(
@@ -331,8 +325,7 @@ def _data(found: Stiction) -> dict[str, object]:
         "motors": None
         if found.legs is None
         else {
-            "held": found.legs.held,
-            "sag": found.legs.sag,
+            **picked(found.legs, "held sag"),
             "largest_error": found.legs.largest,
             "integrated_error": found.legs.integrated,
         },

@@ -43,9 +43,7 @@ class WorkspacePose:
     pose: Poses
     # (6,) [m], longer than in the middle of their travel; of rotary legs angles [rad], as all travel here
     travel: Array
-    tilts: (
-        Array | None
-    )  # (2, 6) [rad], of the legs from home, at base and platform; None: the robot has no joint limits
+    tilts: Array | None  # (2, 6) [rad], of the legs from home, at base and platform; None: no joint limits
     nearest_limit: LegMargin  # of stroke and joint limits
     left: float  # share of that limit; negative beyond it
     reachable: bool  # as of `hs.reachable`
@@ -77,9 +75,8 @@ class Workspace(Part):
     neighbourhood_force: float  # [N], largest leg force that holds the actual weight there
     map_x: Array  # (41,) [m], from home
     map_y: Array  # (41,)
-    map_left: (
-        Array  # (41, 41), row by y: share of the legs' limits left, negative beyond, at the goal's attitude, height
-    )
+    # (41, 41), row by y: share of the legs' limits left, negative beyond, at the goal's attitude and height
+    map_left: Array
 
     @property
     def stroke(self) -> float:

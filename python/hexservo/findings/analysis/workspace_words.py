@@ -55,19 +55,19 @@ def _sentences(found: Workspace) -> list[str]:
         f"rotations are {_distance(found.least_shift)} mm and {_distance(found.least_turn)} mrad."
     )
     places = _places(found)[:2]
-    words.append(
-        "The distance to a singularity (smallest singular value of H, moments divided by r_p) is "
-        + " and ".join(f"{number(place.singularity)} at the {place.name}" for place in places)
-        + f", and at least {number(found.neighbourhood_singularity)} at random poses around the {places[-1].name} "
-        f"within {_limits(found)}."
-    )
-    if found.scene.hexapod.rotary:
-        words.append(
-            "The distance to cranks in line with their rods (smallest lever arm of a rod, relative to the crank) is "
-            + " and ".join(f"{number(place.lever_arm)} at the {place.name}" for place in places)
-            + f", and at least {number(found.neighbourhood_lever_arm)} at random poses around the {places[-1].name} "
-            f"within {_limits(found)}."
+
+    def distance_to(what: str, at_places: list[float], around: float) -> str:
+        at = " and ".join(f"{number(one)} at the {place.name}" for one, place in zip(at_places, places, strict=True))
+        return (
+            f"The distance to {what} is {at}, and at least {number(around)} at random poses around the "
+            f"{places[-1].name} within {_limits(found)}."
         )
+
+    singular = "a singularity (smallest singular value of H, moments divided by r_p)"
+    words.append(distance_to(singular, [at.singularity for at in places], found.neighbourhood_singularity))
+    if found.scene.hexapod.rotary:
+        in_line = "cranks in line with their rods (smallest lever arm of a rod, relative to the crank)"
+        words.append(distance_to(in_line, [at.lever_arm for at in places], found.neighbourhood_lever_arm))
     effort = found.scene.units.effort
     heaviest = max(_places(found), key=lambda place: float(np.abs(place.actual_forces).max()))
     words.append(
@@ -104,7 +104,8 @@ def _of_goal(found: Workspace) -> str:
         text += f"{name} {_of_leg(found, place)}; "
     if found.way_within.all():
         least = float(found.way_left.min())
-        left = f"{100 * least:.0f} % of the legs' limits" if _tilts_count(found) else _of_stroke(found, least)
+        of_stroke = f"{number(1e3 * least * found.stroke)} {found.scene.units.small}"
+        left = f"{100 * least:.0f} % of the legs' limits" if _tilts_count(found) else of_stroke
         return text + f"on the straight path to the goal {left} are left everywhere."
     first = int(np.flatnonzero(~found.way_within)[0])
     what = f"leaves {_limits(found)}" if found.way_left[first] < 0 else "comes to a singular pose"
@@ -117,25 +118,19 @@ def _of_leg(found: Workspace, place: WorkspacePose) -> str:
     if leg.limit != "stroke":
         joint = f"the {leg.limit.replace('_', ' ')} of leg {leg.leg}"
         left = (
-            f"has {number(1e3 * leg.margin)} mrad left" if leg.within else f"is {_beyond(leg.margin)} mrad beyond its"
+            f"has {number(1e3 * leg.margin)} mrad left"
+            if leg.within
+            else f"is {number(-1e3 * leg.margin)} mrad beyond its limit"
         )
-        return f"{joint} {left}{'' if leg.within else ' limit'}"
+        return f"{joint} {left}"
     if not np.isfinite(leg.travel):
         return f"leg {leg.leg} does not reach"
     end = (
         f"with {number(1e3 * leg.margin)} {units.small} of stroke left"
         if leg.within
-        else f"{_beyond(leg.margin)} {units.small} beyond its stroke"
+        else f"{number(-1e3 * leg.margin)} {units.small} beyond its stroke"
     )
     return f"leg {leg.leg} is {number(1e3 * abs(leg.travel))} {units.small} from the middle of its travel, {end}"
-
-
-def _beyond(margin: float) -> str:
-    return number(-1e3 * margin)
-
-
-def _of_stroke(found: Workspace, share: float) -> str:
-    return f"{number(1e3 * share * found.stroke)} {found.scene.units.small}"
 
 
 def _tilts_count(found: Workspace) -> bool:

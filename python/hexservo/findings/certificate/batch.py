@@ -114,7 +114,7 @@ def certify_batch(
         raise ValueError(
             f"controller.law: expected {THEOREM_LAW}, of which the theorem is, got {scenario.controller.law}"
         )
-    if scenario.simulation.mode != "continuous":
+    if scenario.sampled:
         raise ValueError("simulation.mode: expected continuous, of which the theorem is, got sampled")
     arrays = checked_variations(scenario, variations)
     count = max(len(values) for values in arrays.values())

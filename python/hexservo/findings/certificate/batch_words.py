@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hexservo.findings.analysis.words import finite
 from hexservo.findings.certificate.batch import BatchCertificate
 from hexservo.findings.certificate.uncertainty import AXES, UNITS
 from hexservo.findings.evidence import Column, Section, Table, picked
@@ -57,7 +58,7 @@ def section(found: BatchCertificate) -> Section:
             (Column("axis"), lambda j: AXES[j]),
             (Column("runs where it held"), lambda j: int(np.count_nonzero(by_axis[0][:, j]))),
             *([(Column("undecided"), lambda j: int(np.count_nonzero(by_axis[1][:, j])))] if unknown else []),
-            (Column("smallest margin"), lambda j: _finite(float(margin[:, j].min()))),
+            (Column("smallest margin"), lambda j: finite(float(margin[:, j].min()))),
             (Column("unit"), lambda j: UNITS[j]),
         ],
         page=PAGE,
@@ -82,7 +83,3 @@ def section(found: BatchCertificate) -> Section:
             **picked(found, "settling_time eta margin held_by_axis decided_by_axis"),
         },
     )
-
-
-def _finite(value: float) -> float | None:
-    return value if np.isfinite(value) else None

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from hexservo.findings.certificate.energy import EnergyLedger
-from hexservo.findings.evidence import Column, Curves, Line, Section, Table, picked
+from hexservo.findings.evidence import Column, Curves, Line, Section, Table, Verdict, picked
 from hexservo.scenario.wording import joules, shown_unit
 
 PAGE = "docs/certificate/energy.md"
@@ -13,19 +15,26 @@ PAGE = "docs/certificate/energy.md"
 
 def section(found: EnergyLedger) -> Section:
     """Return sentences, the table of works, and curves of the works so far."""
-    change = float(found.energy[-1] - found.energy[0])
-    largest = sorted(found.works, key=lambda term: -float(np.abs(found.works[term]).sum()))
+    verdict: Verdict = "good" if found.closes else "bad"
+    return Section("energy", "Energy ledger", _sentences(found), _items(found), verdict, _data(found))
+
+
+def _change(found: EnergyLedger) -> float:
+    """Return the change of the kinetic energy in the run [J]."""
+    return float(found.energy[-1] - found.energy[0])
+
+
+def _sentences(found: EnergyLedger) -> list[str]:
     gap = (
         f"the change of kinetic energy and the works of {len(found.works)} terms differ by "
         f"{joules(abs(found.residual), 2)}, {_part(abs(found.residual), found.turnover)} of the "
         f"{joules(found.turnover)} that were turned over (tolerance {joules(found.tolerance, 2)})"
     )
-    verdict = (
+    sentences = [
         f"The energy ledger closes: {gap}."
         if found.closes
         else f"The energy ledger does not close: {'; '.join(found.faults)}."
-    )
-    sentences = [verdict]
+    ]
     if "held" in found.works:
         injected = found.work("held")
         sentences.append(
@@ -38,8 +47,11 @@ def section(found: EnergyLedger) -> Section:
         for term, name in (("switching", "The switching term"), ("damping", "Viscous damping"))
         if term in found.works
     ]
-    sentences.extend(found.remarks)
-    sentences.append("This is the energy balance of this run only.")
+    return [*sentences, *found.remarks, "This is the energy balance of this run only."]
+
+
+def _items(found: EnergyLedger) -> tuple[Table, Curves]:
+    largest = sorted(found.works, key=lambda term: -float(np.abs(found.works[term]).sum()))
     unit, scale = shown_unit(
         max([found.turnover, *(float(np.abs(parts).sum()) for parts in found.works.values())]), "J"
     )
@@ -64,7 +76,7 @@ def section(found: EnergyLedger) -> Section:
         ]
         + [
             ("sum of the works", sum(map(found.work, found.works)) * scale, None, None, found.turnover * scale),
-            ("change of kinetic energy", change * scale, None, None, None),
+            ("change of kinetic energy", _change(found) * scale, None, None, None),
             ("residual", found.residual * scale, None, None, None),
             ("tolerance of the residual", found.tolerance * scale, None, None, None),
         ],
@@ -76,33 +88,23 @@ def section(found: EnergyLedger) -> Section:
         "time [s]",
         f"work [{unit}]",
         [Line(_NAMES[term], found.time, np.r_[0.0, np.cumsum(found.works[term])] * scale) for term in largest]
-        + [
-            Line(
-                "change of kinetic energy",
-                found.time,
-                (found.energy - found.energy[0]) * scale,
-                "dashed",
-            )
-        ],
+        + [Line("change of kinetic energy", found.time, (found.energy - found.energy[0]) * scale, "dashed")],
         page=PAGE,
     )
-    return Section(
-        name="energy",
-        title="Energy ledger",
-        sentences=sentences,
-        items=(table, curves),
-        verdict="good" if found.closes else "bad",
-        data={
-            "works": {term: found.work(term) for term in found.works},
-            "works_by_component": {term: found.by_axis[term] for term in found.works},
-            "change_of_kinetic_energy": change,
-            **picked(found, "residual tolerance turnover mismatch pose_mismatch image_mismatch"),
-            "sign_changes": found.crossings,
-            "signs_by_rounding": found.tossed,
-            "closes": found.closes,
-            "faults": list(found.faults),
-        },
-    )
+    return table, curves
+
+
+def _data(found: EnergyLedger) -> dict[str, Any]:
+    return {
+        "works": {term: found.work(term) for term in found.works},
+        "works_by_component": {term: found.by_axis[term] for term in found.works},
+        "change_of_kinetic_energy": _change(found),
+        **picked(found, "residual tolerance turnover mismatch pose_mismatch image_mismatch"),
+        "sign_changes": found.crossings,
+        "signs_by_rounding": found.tossed,
+        "closes": found.closes,
+        "faults": list(found.faults),
+    }
 
 
 _NAMES = {

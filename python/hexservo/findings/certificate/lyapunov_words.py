@@ -2,28 +2,43 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from hexservo.findings.certificate.lyapunov import Lyapunov, Rise
+from hexservo.findings.certificate.lyapunov import Lyapunov
 from hexservo.findings.certificate.uncertainty import AXES
-from hexservo.findings.certificate.words import markers
 from hexservo.findings.evidence import Column, Curves, Line, Section, Table, Verdict, picked
+from hexservo.run.samples import extreme_samples
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.laws import SMOOTH_KINDS
 from hexservo.scenario.wording import counted, joules, number, shown_unit
 
 PAGE = "docs/certificate/lyapunov.md"
 _ROWS = 12  # of the table of rises, at most
+_SHOWN = 1500  # points of a line of markers, at most
 
 
 def section(found: Lyapunov) -> Section:
     """Return sentences, the table of rises, and curves of V, of its change and of its rate."""
+    title = "Lyapunov function along the run"
+    return Section("lyapunov", title, _sentences(found), _items(found), _verdict(found), _data(found))
+
+
+def _gap(found: Lyapunov) -> tuple[float, float]:
+    """Return the largest and the RMS difference of the two rates [W]; NaN where none were compared."""
     gap = np.abs(found.disagreement[np.isfinite(found.differentiated)])
-    largest, rms = (float(gap.max()), float(np.sqrt(np.mean(gap**2)))) if len(gap) else (np.nan, np.nan)
-    scale = float(np.abs(found.predicted).max())
-    change, top = float(found.change[-1]), float(found.change.max())
-    rising = sum(rise.samples for rise in found.rises)
+    return (float(gap.max()), float(np.sqrt(np.mean(gap**2)))) if len(gap) else (np.nan, np.nan)
+
+
+def _rising(found: Lyapunov) -> int:
+    return sum(rise.samples for rise in found.rises)
+
+
+def _sentences(found: Lyapunov) -> list[str]:
+    change, top, rising = float(found.change[-1]), float(found.change.max()), _rising(found)
     sentences = []
-    if not len(gap):
+    if not found.compared:
         sentences.append("No sample has enough neighbours without a switch: V-dot could not be compared.")
     elif not found.agrees:
         sentences.append(
@@ -46,15 +61,15 @@ def section(found: Lyapunov) -> Section:
         sentences.append(
             f"V grew at {rising} of {found.compared} samples compared (of {len(found.time)}), by up to "
             f"{joules(worst.rate, 3, 'W')} at t = {worst.first:.4g} to {worst.last:.4g} s, mostly due to "
-            f"{_blame(worst)}; "
+            f"{AXES[worst.axis]} ({worst.term}; gamma = {worst.gamma:.3g} there); "
             f"over the whole run V changed by {joules(change)}."
         )
-    if len(gap):
+    if found.compared:
+        largest, rms = (joules(each, 2, "W") for each in _gap(found))
+        scale = joules(float(np.abs(found.predicted).max()), 4, "W")
         sentences.append(
-            f"V-dot by differences and by (20) differ by {joules(largest, 2, 'W')} at most and "
-            f"{joules(rms, 2, 'W')} RMS, "
-            f"of up to {joules(scale, 4, 'W')}; where all is smooth the difference falls with the fourth power of "
-            "the step."
+            f"V-dot by differences and by (20) differ by {largest} at most and {rms} RMS, of up to {scale}; where all "
+            "is smooth the difference falls with the fourth power of the step."
         )
     start = float(found.value[0])
     sentences.append(
@@ -77,42 +92,40 @@ def section(found: Lyapunov) -> Section:
             f"With {found.switching} K_v acts in full only outside of its layer: V may grow inside it although the "
             "assumption holds."
         )
-    sentences.append(
+    return [
+        *sentences,
         "This is a numerical check at the samples of one trajectory and proves no stability. V contains w*, which "
         "is known only afterwards. Even a V that falls from every start means stability, not convergence: the "
-        "switching term may hold an error by dry friction."
-    )
-    return Section(
-        name="lyapunov",
-        title="Lyapunov function along the run",
-        sentences=sentences,
-        items=_items(found),
-        verdict=_verdict(found),
-        data={
-            **{
-                name: {
-                    "total": float(found.value[at]),
-                    "kinetic": float(found.kinetic[at]),
-                    "image": float(found.image[at]),
-                    "weights": float(found.weight[at]),
-                }
-                for name, at in (("start", 0), ("end", -1))
-            },
-            "change": change,
-            "largest_above_start": top,
-            "disagreement_max": largest,
-            "disagreement_rms": rms,
-            "rates_agree": found.agrees,
-            "largest_rate": scale,
-            "samples": len(found.time),
-            "samples_compared": found.compared,
-            "samples_left_out_switching": found.switched,
-            "samples_left_out_limit": found.limited,
-            **picked(found, "change_in_switches rise_in_a_switch"),
-            "samples_rising": rising,
-            "rises": [vars(rise) for rise in found.rises],
+        "switching term may hold an error by dry friction.",
+    ]
+
+
+def _data(found: Lyapunov) -> dict[str, Any]:
+    largest, rms = _gap(found)
+    return {
+        **{
+            name: {
+                "total": float(found.value[at]),
+                "kinetic": float(found.kinetic[at]),
+                "image": float(found.image[at]),
+                "weights": float(found.weight[at]),
+            }
+            for name, at in (("start", 0), ("end", -1))
         },
-    )
+        "change": float(found.change[-1]),
+        "largest_above_start": float(found.change.max()),
+        "disagreement_max": largest,
+        "disagreement_rms": rms,
+        "rates_agree": found.agrees,
+        "largest_rate": float(np.abs(found.predicted).max()),
+        "samples": len(found.time),
+        "samples_compared": found.compared,
+        "samples_left_out_switching": found.switched,
+        "samples_left_out_limit": found.limited,
+        **picked(found, "change_in_switches rise_in_a_switch"),
+        "samples_rising": _rising(found),
+        "rises": [vars(rise) for rise in found.rises],
+    }
 
 
 def _verdict(found: Lyapunov) -> Verdict:
@@ -190,5 +203,11 @@ def _items(found: Lyapunov) -> tuple[Table | Curves, ...]:
     )
 
 
-def _blame(rise: Rise) -> str:
-    return f"{AXES[rise.axis]} ({rise.term}; gamma = {rise.gamma:.3g} there)"
+def markers(name: str, time: Array, values: Array) -> Line:
+    """Return samples (n,) as markers, at most 1500, which keep the extremes; NaN has none.
+
+    Lines need no such choice: a chart draws what its width resolves, with all peaks.
+    """
+    known = np.flatnonzero(np.isfinite(values))
+    kept = known[extreme_samples(values[known], _SHOWN)]
+    return Line(name, time[kept], values[kept], "points")

@@ -74,7 +74,7 @@ class Replay:
     @property
     def continuous(self) -> bool:
         """Whether the law acted inside the stages of the integration."""
-        return self.scenario.simulation.mode == "continuous"
+        return not self.scenario.sampled
 
     @property
     def remark(self) -> str:

@@ -112,9 +112,9 @@ def _sampled(run: Replay, ticks: NDArray[np.intp]) -> Iterator[Stages]:
         stages: list[dict[str, Array]] = []
         start = ticks * run.step + substep * step  # [s]
         for scale in (0.0, step / 2, step / 2, step):
-            before = stages[-1] if stages else None
             place = body
-            if before is not None:
+            if stages:
+                before = stages[-1]
                 place = run.probe.moved(*body, before["quaternion"], before["twist"], before["acceleration"], scale)
             position, quaternion, twist = place
             wrench = (

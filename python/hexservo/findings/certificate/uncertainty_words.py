@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from hexservo.findings.certificate.uncertainty import AXES, UNITS, Assumption
@@ -13,6 +15,11 @@ PAGE = "docs/certificate/assumption.md"
 
 def section(found: Assumption) -> Section:
     """Return sentences, a table by axis, and gamma over time."""
+    title = "Assumption of the stability theorem"
+    return Section("assumption", title, _sentences(found), _items(found), _verdict(found), _data(found))
+
+
+def _sentences(found: Assumption) -> list[str]:
     failed, unknown = np.flatnonzero(found.decided & ~found.held), np.flatnonzero(~found.decided)
     if len(failed):
         axis = int(failed[np.argmax(found.eta[failed] / np.maximum(found.kv[failed], np.finfo(float).tiny))])
@@ -48,7 +55,10 @@ def section(found: Assumption) -> Section:
                 f"Weights were limited to {number(found.weights[limited[0]].limit)} {UNITS[limited[0]]} on "
                 f"{AXES[limited[0]]}; larger ones could have a smaller error there."
             )
-    sentences.append("This holds at the samples of this trajectory only.")
+    return [*sentences, "This holds at the samples of this trajectory only."]
+
+
+def _items(found: Assumption) -> tuple[Table | Curves, ...]:
     norms = [None] * 6 if found.weights is None else [float(np.linalg.norm(best.weights)) for best in found.weights]
     table = Table.of(
         "Assumption of the theorem, axis by axis",
@@ -75,24 +85,21 @@ def section(found: Assumption) -> Section:
         note="The assumption holds where all are within -1 and 1.",
         page=PAGE,
     )
-    return Section(
-        name="assumption",
-        title="Assumption of the stability theorem",
-        sentences=sentences,
-        items=(table, curves) if curves.lines else (table,),
-        verdict=_verdict(found),
-        data={
-            **picked(found, "kv eta lower_bound margin held decided"),
-            "held_on_all_axes": bool(found.held.all()),
-            "largest_uncertainty": found.largest,
-            "time_of_largest_error": found.instants,
-            "weight_limit": None if found.weights is None else [best.limit for best in found.weights],
-            "rank": found.rank,
-            "few_samples": found.few_samples,
-            "limited": None if found.weights is None else [best.limited for best in found.weights],
-            "best_weights": found.ideal,
-        },
-    )
+    return (table, curves) if curves.lines else (table,)
+
+
+def _data(found: Assumption) -> dict[str, Any]:
+    return {
+        **picked(found, "kv eta lower_bound margin held decided"),
+        "held_on_all_axes": bool(found.held.all()),
+        "largest_uncertainty": found.largest,
+        "time_of_largest_error": found.instants,
+        "weight_limit": None if found.weights is None else [best.limit for best in found.weights],
+        "rank": found.rank,
+        "few_samples": found.few_samples,
+        "limited": None if found.weights is None else [best.limited for best in found.weights],
+        "best_weights": found.ideal,
+    }
 
 
 def _verdict(found: Assumption) -> Verdict:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hexservo.findings.diagnosis.environment import ideal, ordinary
+from hexservo.findings.diagnosis.environment import ideal, less, ordinary
 from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal, in_scenario
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.fitted import UPTAKE, fitted_adaptation, machine_of
@@ -87,8 +87,7 @@ def with_other_gains(keys: Iterable[str]) -> Callable[[Case], list[Alone]]:
 
     def alone(case: Case) -> list[Alone]:
         without = {**ideal(case.scenario), **ordinary(case.scenario)}
-        kept = set(in_scenario(keys, case.scenario))
-        own = {key: value for key, value in without.items() if key not in kept}
+        own = less(without, in_scenario(keys, case.scenario))
         fitting = _changes(case, _fitting(case))
         return [Alone(without, own), *([Alone(without, {**own, **fitting})] if fitting else [])]
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.diagnosis.drives import DRIVES
-from hexservo.findings.diagnosis.environment import BASE_MOTIONS, default_brake, ideal, ordinary
+from hexservo.findings.diagnosis.environment import BASE_MOTIONS, default_brake, ideal, less, ordinary
 from hexservo.findings.diagnosis.model import (
     Alone,
     Case,
@@ -49,10 +49,6 @@ _AT_GATE = frozenset(  # what a gate compares, and when that counts
 _ENCODERS = frozenset({"sensors.pose", "sensors.rate", "sensors.period"})
 
 
-def _keys(*names: str) -> frozenset[str]:
-    return frozenset(names)
-
-
 def _base_at_rest(case: Case) -> list[Removal]:
     moving = [key for key in BASE_MOTIONS if case.sampled and value_at(case.scenario, key) != "none"]
     return removal_by("a base at rest", dict.fromkeys(moving, "none"))
@@ -63,7 +59,7 @@ def _motion_alone(*kinds: str) -> Callable[[Case], list[Alone]]:
 
     def alone(case: Case) -> list[Alone]:
         without = ideal(case.scenario)
-        moving = {key: value for key, value in without.items() if key not in kinds}
+        moving = less(without, kinds)
         usual = well_set(case)
         pairs = [Alone(without, moving)]
         return [*pairs, Alone({**without, **usual}, {**moving, **usual})] if usual else pairs
@@ -115,11 +111,8 @@ def _brake(case: Case) -> list[Removal]:
     return removal_by("the default gains of the brake", default_brake(case.scenario) if case.sampled else {})
 
 
-def _outliers(case: Case) -> list[Removal]:
-    camera = case.scenario.camera
-    if not case.sampled or camera.outlier_probability == 0.0 or camera.outlier_size == 0.0:
-        return []
-    return [Removal("features without outliers", {"camera.outlier_probability": 0.0})]
+def _adds_outliers(case: Case) -> bool:
+    return case.sampled and case.scenario.camera.outlier_size != 0.0
 
 
 # ---- Encoders -------------------------------------------------------------------------------------------------------
@@ -216,11 +209,11 @@ def _common_depth_alone(case: Case) -> list[Alone]:
 # ---- The list -------------------------------------------------------------------------------------------------------
 
 DEVICES: tuple[Cause, ...] = (
-    Cause("wrong_sign", "the sign of the image Jacobian", _keys("controller.jacobian"), _sign),
+    Cause("wrong_sign", "the sign of the image Jacobian", frozenset({"controller.jacobian"}), _sign),
     Cause(
         "saturation",
         "saturation of the actuators",
-        _keys("actuators.saturation", "robot.force_limit"),
+        frozenset({"actuators.saturation", "robot.force_limit"}),
         removed_by("actuators.saturation", False, "legs without a force limit"),
         saturation_remedies,
     ),
@@ -233,14 +226,14 @@ DEVICES: tuple[Cause, ...] = (
     Cause(
         "brake",
         "gains of the brake that acts without an image",
-        _keys("controller.safe.damping", "controller.safe.hold"),
+        frozenset({"controller.safe.damping", "controller.safe.hold"}),
         _brake,
         context=_IMAGE | {"camera.timeout", "camera.dropout", "camera.image_size", "camera.on_lost"},
     ),
     Cause(
         "lost_features",
         "lost features",
-        _keys("camera.dropout", "camera.image_size", "camera.on_lost"),
+        frozenset({"camera.dropout", "camera.image_size", "camera.on_lost"}),
         _lost_features,
         lost_features_remedies,
         context=_IMAGE,
@@ -248,7 +241,7 @@ DEVICES: tuple[Cause, ...] = (
     Cause(
         "gate",
         "a gate of the camera that is too narrow",
-        _keys("camera.gate"),
+        frozenset({"camera.gate"}),
         _gate,
         gate_remedies,
         context=_IMAGE | _AT_GATE,
@@ -256,8 +249,8 @@ DEVICES: tuple[Cause, ...] = (
     Cause(
         "outliers",
         "outliers among the features",
-        _keys("camera.outlier_probability", "camera.outlier_size"),
-        _outliers,
+        frozenset({"camera.outlier_probability", "camera.outlier_size"}),
+        removed_by("camera.outlier_probability", 0.0, "features without outliers", of=_adds_outliers),
         outliers_remedies,
         context=_IMAGE,
     ),
@@ -300,12 +293,12 @@ DEVICES: tuple[Cause, ...] = (
     Cause(
         "encoder_period",
         "encoders that are read too seldom",
-        _keys("sensors.period"),
+        frozenset({"sensors.period"}),
         _encoder_period,
         slower_remedies,
         context=_ENCODERS - {"sensors.period"},
     ),
-    Cause("encoders", "pose and twist from leg lengths", _keys("sensors.pose", "sensors.rate"), _encoders),
+    Cause("encoders", "pose and twist from leg lengths", frozenset({"sensors.pose", "sensors.rate"}), _encoders),
     Cause(
         "actuator_delay",
         "delay of the actuators",
@@ -332,21 +325,21 @@ DEVICES: tuple[Cause, ...] = (
     Cause(
         "base_motion",
         "motion of the base",
-        _keys(*keys_below("base_motion"), "target.frame"),
+        frozenset({*keys_below("base_motion"), "target.frame"}),
         _base_at_rest,
         alone=_motion_alone(*BASE_MOTIONS),
     ),
     Cause(
         "target_motion",
         "motion of the target",
-        _keys(*keys_below("target.motion")),
+        frozenset({*keys_below("target.motion")}),
         removed_by("target.motion.kind", "none", "a target at rest"),
         alone=_motion_alone("target.motion.kind"),
     ),
     Cause(
         "gravity",
         "a wrong weight",
-        _keys("uncertainty.gravity", *(f"robot.payload.{name}" for name in Payload.model_fields)),
+        frozenset({"uncertainty.gravity", *(f"robot.payload.{name}" for name in Payload.model_fields)}),
         _gravity,
         gravity_remedies,
         alone=_gravity_alone,
@@ -362,13 +355,13 @@ DEVICES: tuple[Cause, ...] = (
     Cause(
         "calibration",
         "a wrong calibration of the camera",
-        _keys(*_CALIBRATION),
+        frozenset({*_CALIBRATION}),
         _calibration,
     ),
     Cause(
         "unequal_depth",
         "unequal depth errors",
-        _keys("uncertainty.depth"),
+        frozenset({"uncertainty.depth"}),
         _unequal_depth,
         unequal_depth_remedies,
         alone=_unequal_depth_alone,
@@ -376,7 +369,7 @@ DEVICES: tuple[Cause, ...] = (
     Cause(
         "common_depth",
         "depths that are all too large or too small",
-        _keys("uncertainty.depth"),
+        frozenset({"uncertainty.depth"}),
         _common_depth,
         slower_remedies,
         alone=_common_depth_alone,
@@ -384,9 +377,9 @@ DEVICES: tuple[Cause, ...] = (
     Cause(
         "late_camera",
         "latency or rate of the camera",
-        _keys("camera.period", "camera.latency", "camera.latency_jitter"),
+        frozenset({"camera.period", "camera.latency", "camera.latency_jitter"}),
         _late_camera,
         late_camera_remedies,
-        context=_keys("camera.prediction"),
+        context=frozenset({"camera.prediction"}),
     ),
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from hexservo.findings.diagnosis.criterion import Record
-from hexservo.findings.diagnosis.environment import ORDINARY_BANDWIDTH, ideal
+from hexservo.findings.diagnosis.environment import ORDINARY_BANDWIDTH, ideal, less
 from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal, always, fault, removal_by
 from hexservo.findings.diagnosis.remedies import leg_rates_remedies, motor_remedies, slower_remedies
 from hexservo.scenario.keys import keys_below
@@ -42,7 +42,7 @@ def _motors(case: Case) -> list[Removal]:
 
 def _motors_kept(case: Case) -> dict[str, Any]:
     """Return the changes to devices without faults but for the motors, which stay as they are."""
-    return {key: value for key, value in ideal(case.scenario).items() if key not in _MOTORS}
+    return less(ideal(case.scenario), _MOTORS)
 
 
 def _motors_alone(case: Case) -> list[Alone]:

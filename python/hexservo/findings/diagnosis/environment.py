@@ -64,9 +64,8 @@ ORDINARY_BANDWIDTH = 100.0  # [Hz], of the actuators, at least
 _ROUNDING = 1e-9  # relative difference of equal numbers
 _NEAR = 1.5  # factor between a gain and its default within which it is ordinary
 _SAME_RATE = 2.0  # factor between the rates of two loops within which time does not part them
-_KEPT = frozenset(
-    {"sensors.pose", "sensors.rate", "actuators.hold", "actuators.kind"}
-)  # how a machine is built, and no fault
+# how a machine is built, and no fault
+_KEPT = frozenset({"sensors.pose", "sensors.rate", "actuators.hold", "actuators.kind"})
 
 
 def ordinary_devices(scenario: Scenario) -> dict[str, float]:
@@ -94,7 +93,7 @@ def ideal(scenario: Scenario) -> dict[str, Any]:
             value, wanted = value_at(scenario, key), default_of(key)
             if key in _OF_THE_TASK | _KEPT or (block == "base_motion" and key not in BASE_MOTIONS):  # its own act
                 continue
-            if key == "camera.period" and scenario.simulation.mode == "sampled":
+            if key == "camera.period" and scenario.sampled:
                 value, wanted = frame_period(scenario), scenario.simulation.step
             elif key in usual_devices:
                 wanted = value if np.abs(value).max() <= usual_devices[key] else 0.0
@@ -130,8 +129,7 @@ def ordinary(scenario: Scenario) -> dict[str, Any]:
     """Return the changes to ordinary settings of the same law: its defaults, and a fine step."""
     usual = default_gains(scenario)
     changes = {key: wanted for key, wanted in usual.items() if differs(value_at(scenario, key), wanted)}
-    sampled = scenario.simulation.mode == "sampled"
-    kind = "implicit" if sampled else "sign"
+    kind = "implicit" if scenario.sampled else "sign"
     switching = scenario.controller.switching
     if switching.kind not in (kind, "implicit_coupled"):
         changes["controller.switching.kind"] = kind
@@ -142,7 +140,7 @@ def ordinary(scenario: Scenario) -> dict[str, Any]:
     if step > FINE_STEP:
         step /= math.ceil(step / FINE_STEP - 1e-9)
         changes["simulation.step"] = step
-        if sampled:
+        if scenario.sampled:
             changes["camera.period"] = step
     return changes
 
@@ -179,7 +177,7 @@ def alone_pairs(cause: Cause, case: Case, removal: Removal) -> list[Alone]:
     scenario = case.scenario
     without = ideal(scenario)
     if cause.kind == "task":
-        usual, own = (_less(changes, cause.keys) for changes in ({**without, **ordinary(scenario)}, without))
+        usual, own = (less(changes, cause.keys) for changes in ({**without, **ordinary(scenario)}, without))
         return [
             Alone({**usual, **removal.changes}, usual, removal.stroke_counts),
             # default gains that fail without the cause too prove nothing about it, as it is no setting of the law
@@ -187,8 +185,8 @@ def alone_pairs(cause: Cause, case: Case, removal: Removal) -> list[Alone]:
         ]
     if cause.kind == "law":
         without |= ordinary(scenario)
-    without = _less(without, in_scenario(cause.context, scenario))
-    return [Alone(without, _less(without, in_scenario(cause.keys, scenario)))]
+    without = less(without, in_scenario(cause.context, scenario))
+    return [Alone(without, less(without, in_scenario(cause.keys, scenario)))]
 
 
 def alone_at_its_gains(case: Case, name: str, power: float) -> list[Alone]:
@@ -219,8 +217,7 @@ def alone_at_its_gains(case: Case, name: str, power: float) -> list[Alone]:
 
 def faultless(scenario: Scenario) -> dict[str, Any]:
     """Return the changes to devices without faults and ordinary settings of the law, with the scenario's own task."""
-    task = ("metrics.band", "metrics.dwell")
-    return _less({**ideal(scenario), **ordinary(scenario)}, task)
+    return less({**ideal(scenario), **ordinary(scenario)}, ("metrics.band", "metrics.dwell"))
 
 
 def both_alone(first: Cause, second: Cause, case: Case, changed: Iterable[str] = ()) -> list[Changes]:
@@ -239,12 +236,12 @@ def both_alone(first: Cause, second: Cause, case: Case, changed: Iterable[str] =
     own = in_scenario(first.keys | first.context | second.keys | second.context, scenario)
     own += [key for key in changed if key.startswith(f"controller.{scenario.controller.law}.")]
     if "law" not in (first.kind, second.kind):
-        return [devices, _less(devices, own)]
+        return [devices, less(devices, own)]
     usual = {**devices, **ordinary(scenario)}
-    return [usual, _less(usual, own), _less(devices, own)]
+    return [usual, less(usual, own), less(devices, own)]
 
 
-def _less(changes: Changes, keys: Iterable[str]) -> dict[str, Any]:
+def less(changes: Changes, keys: Iterable[str]) -> dict[str, Any]:
     """Return the changes without those of some keys, which keep the scenario's values."""
     kept = set(keys)
     return {key: value for key, value in changes.items() if key not in kept}

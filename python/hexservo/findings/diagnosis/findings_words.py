@@ -8,7 +8,7 @@ from hexservo.findings.diagnosis.causes import CAUSES
 from hexservo.findings.diagnosis.environment import faultless
 from hexservo.findings.diagnosis.findings import Diagnosis
 from hexservo.findings.diagnosis.goal import Obstacle
-from hexservo.findings.diagnosis.words import ends, how, joined, remedy_sentence, spelt
+from hexservo.findings.diagnosis.words import ends, how, remedy_sentence, spelt
 from hexservo.findings.evidence import Column, Curves, Line, Section, Table
 from hexservo.scenario.blocks import Robot
 from hexservo.scenario.leg_units import leg_units
@@ -38,11 +38,11 @@ def section(found: Diagnosis) -> Section:
     data = found.numbers()
     if not found.failed:
         if not found.warnings:
-            words = [f"Nothing to diagnose: {joined(found.criteria)}."]
+            words = [f"Nothing to diagnose: {'; '.join(found.criteria)}."]
             return Section("diagnosis", "Diagnosis", words, (), "good", data)
-        words = [f"The run passes. {found.warnings[0]}", *found.warnings[1:], f"Criteria: {joined(found.criteria)}."]
+        words = [f"The run passes. {found.warnings[0]}", *found.warnings[1:], f"Criteria: {'; '.join(found.criteria)}."]
         return Section("diagnosis", "Diagnosis", words, (), "warning", data)
-    sentences = [_verdict(found), f"What failed: {joined(found.criteria)}."]
+    sentences = [_verdict(found), f"What failed: {'; '.join(found.criteria)}."]
     if found.named:
         sentences += found.named[0].evidence[1:]
     sentences += [*_sureness(found), *_left(found)]
@@ -102,10 +102,8 @@ def _verdict(found: Diagnosis) -> str:
 
 def _of_two(found: Diagnosis, was: str) -> str:
     """Return the verdict on two causes: what is known of each alone depends on whether the run passes without it."""
-    words = (
-        f"Not explained by one cause: two make it fail together, {joined([_TITLES[key] for key in found.together])}; "
-        f"the original run {was}. "
-    )
+    both = "; ".join(_TITLES[key] for key in found.together)
+    words = f"Not explained by one cause: two make it fail together, {both}; the original run {was}. "
     if not found.passes_without_either:
         return f"{words}It passes only without both. Without other faults both together fail as well."
     alone = ", and neither does alone" if all(finding.alone is False for finding in found.pair) else ""
@@ -116,7 +114,7 @@ def _left(found: Diagnosis) -> list[str]:
     """Return what was looked at, and what is left, where nothing explains the failure."""
     if found.named or found.together or found.obstacle is not None or not found.result.by_law or found.too_short:
         return []
-    tried = joined([finding.title for finding in found.causes])
+    tried = "; ".join([finding.title for finding in found.causes])
     words = [f"Removed one at a time, and in pairs of those whose settings are unusual: {tried}."]
     if found.faultless is None:
         return words
@@ -185,7 +183,7 @@ def _sureness(found: Diagnosis) -> list[str]:
                 words.append(f"The run also passes with {'; with '.join(removals[:_HELPERS])}{more}: {meaning}")
     also = [finding.title for finding in found.named[1:]]
     if also:
-        words.append(f"Equally likely: {joined(also)}; each was removed alone.")
+        words.append(f"Equally likely: {'; '.join(also)}; each was removed alone.")
     return words
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Container
 from functools import partial
 from typing import Any
 
@@ -17,6 +18,7 @@ from hexservo.findings.diagnosis.environment import (
     ORDINARY,
     alone_at_its_gains,
     ideal,
+    less,
     ordinary,
 )
 from hexservo.findings.diagnosis.gains import GAIN_KEYS, damped, not_below_default, slower
@@ -34,6 +36,7 @@ _RICHER = 2.0  # a target counts as badly spread where a square would show the w
 _FACTORS = (4.0, 16.0, 64.0)  # by which a loop is made slower or faster
 _SUBSTEPS = 8  # times as many are tried
 _WEIGHTS = frozenset(name for name in Fuzzy.model_fields if name != "adaptation")
+_SWITCHING = frozenset({"controller.switching.kind", "controller.switching.width"})
 _OPTIONS = ("jacobian_at", "damping", "prior")
 
 
@@ -43,6 +46,11 @@ def _block(case: Case) -> Any:
 
 def _law_key(case: Case, name: str) -> str:
     return f"controller.{case.scenario.controller.law}.{name}"
+
+
+def _at_ordinary(case: Case, keys: Container[str], words: str) -> list[Removal]:
+    """Return the removal by ordinary settings of the law, of some keys."""
+    return removal_by(words, {key: value for key, value in ordinary(case.scenario).items() if key in keys})
 
 
 # ---- Settings of a law ----------------------------------------------------------------------------------------------
@@ -80,26 +88,19 @@ def _spring(case: Case) -> list[Removal]:
 def _weights(case: Case) -> list[Removal]:
     if case.scenario.controller.law not in _WITH_FRICTION:
         return []
-    prefix = _law_key(case, "fuzzy")
-    changes = {
-        key: value
-        for key, value in ordinary(case.scenario).items()
-        if key.startswith(prefix) and key.rpartition(".")[2] in _WEIGHTS
-    }
-    return removal_by("the other settings of the fuzzy systems at their defaults", changes)
+    keys = {_law_key(case, f"fuzzy.{name}") for name in _WEIGHTS}
+    return _at_ordinary(case, keys, "the other settings of the fuzzy systems at their defaults")
 
 
 def _switching(case: Case) -> list[Removal]:
     if case.scenario.controller.law not in _WITH_FRICTION or not np.any(_block(case).kv):
         return []
-    changes = {key: value for key, value in ordinary(case.scenario).items() if key.startswith("controller.switching")}
-    return removal_by("an ordinary switching term", changes)
+    return _at_ordinary(case, _SWITCHING, "an ordinary switching term")
 
 
 def _options(case: Case) -> list[Removal]:
-    names = {_law_key(case, name) for name in _OPTIONS}
-    changes = {key: value for key, value in ordinary(case.scenario).items() if key in names}
-    return removal_by("the law's prior and Jacobian at their defaults", changes)
+    keys = {_law_key(case, name) for name in _OPTIONS}
+    return _at_ordinary(case, keys, "the law's prior and Jacobian at their defaults")
 
 
 _FITTED = frozenset({"LAW.auto.bandwidth", "LAW.auto.damping"})  # act through the gains that they give
@@ -175,8 +176,7 @@ def _poor_image_alone(case: Case) -> list[Alone]:
     scenario = case.scenario
     changes, _ = spread_target(scenario, case.goal)
     changes.pop("camera.image_size", None)
-    context = ("camera.period", "camera.latency", "camera.latency_jitter", "camera.prediction")
-    seen = {key: value for key, value in ideal(scenario).items() if key not in context}
+    seen = less(ideal(scenario), ("camera.period", "camera.latency", "camera.latency_jitter", "camera.prediction"))
     usual = {**seen, **ordinary(scenario)}
     return [
         Alone({**seen, **changes}, seen),
@@ -265,7 +265,7 @@ LAWS: tuple[Cause, ...] = (
     Cause(
         "switching",
         "a switching term that does not suit the loop",
-        frozenset({"controller.switching.kind", "controller.switching.width"}),
+        _SWITCHING,
         _switching,
         kind="law",
     ),

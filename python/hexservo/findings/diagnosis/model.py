@@ -28,7 +28,7 @@ class Case:
     @property
     def sampled(self) -> bool:
         """Whether the devices act."""
-        return self.scenario.simulation.mode == "sampled"
+        return self.scenario.sampled
 
 
 @dataclass(frozen=True, eq=False)

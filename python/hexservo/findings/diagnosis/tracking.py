@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from hexservo.findings.analysis.scene import scene_of
-from hexservo.findings.diagnosis.environment import BASE_MOTIONS, differs, ideal
+from hexservo.findings.diagnosis.environment import BASE_MOTIONS, differs, ideal, less
 from hexservo.findings.diagnosis.gains import default_gains
 from hexservo.findings.diagnosis.model import Alone, Case, Cause, Removal, removal_by
 from hexservo.findings.leg_feedback import OF_MARGIN, feedback_margin, integral_margin
@@ -40,7 +40,7 @@ def _alone(changes: Callable[[Case], Mapping[str, Any]], context: tuple[str, ...
         kept = {key for block in (*_CONTEXT, *context) for key in keys_below(block)}
         if case.scenario.target.frame == "world":  # which moves before the camera as the base does
             kept.update(BASE_MOTIONS)
-        without = {key: value for key, value in ideal(case.scenario).items() if key not in kept}
+        without = less(ideal(case.scenario), kept)
         return [Alone({**without, **changes(case)}, without)]
 
     return alone

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 from hexservo.findings.analysis.scene import scene_of
@@ -18,11 +17,6 @@ from hexservo.scenario.wording import apart, number, percent_used
 FEW = 40  # samples, or steps
 _NEAR = 0.7  # share of a limit beyond which there is a warning
 _SHOWN_DRIFT = 0.2  # of the drift that is allowed: a slower one is not reported
-
-
-def joined(parts: Sequence[str]) -> str:
-    """Join clauses."""
-    return "; ".join(parts)
 
 
 def how(run: Remedy, scenario: Scenario) -> str:

@@ -84,12 +84,8 @@ class Identification(Findings):
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain data, for JSON: keys, and each section's verdict, sentences and numbers."""
-        found = {
-            "changes": self.changes,
-            "faults": self.faults,
-            **{section.name: section.to_dict() for section in self.sections()},
-        }
-        return as_data(found)  # type: ignore[no-any-return]
+        of_parts = {section.name: section.to_dict() for section in self.sections()}
+        return as_data({"changes": self.changes, "faults": self.faults, **of_parts})  # type: ignore[no-any-return]
 
 
 def identify(

@@ -113,9 +113,8 @@ def faults_of(scenario: Scenario, drives: Drives, camera: CameraFit | None) -> d
         return {}
     if camera is None or not camera.explains or camera.stamps is None or not camera.stamps_are_wrong:
         return {}
-    error = max(
-        _whole(-camera.stamps.value, scenario.simulation.step), -scenario.camera.latency
-    )  # no frame is stamped after its arrival
+    # no frame is stamped after its arrival
+    error = max(_whole(-camera.stamps.value, scenario.simulation.step), -scenario.camera.latency)
     return {} if error == 0.0 else {"uncertainty.latency": error}
 
 
@@ -162,11 +161,8 @@ def raised_timeout(
     ticks = round(machine.camera.timeout / known["simulation.step"])
     scenario = machine.updated(known | {"camera.timeout": None})
     oldest = oldest_image(scenario.updated(faults(scenario)))
-    return (
-        {"camera.timeout": _whole(oldest * scenario.simulation.step, scenario.simulation.step)}
-        if oldest > ticks
-        else {}
-    )
+    step = scenario.simulation.step
+    return {"camera.timeout": _whole(oldest * step, step)} if oldest > ticks else {}
 
 
 def _of_drives(drives: Drives, machine: Scenario, step: float) -> dict[str, Any]:

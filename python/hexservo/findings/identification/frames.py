@@ -66,18 +66,15 @@ class CameraFit(Part):
     frames: int  # that arrived
     period: Interval | None = None  # between exposures [s]; None where their times have no common one
     dropout: Interval | None = None  # share of the frames of that period that did not arrive; None without a period
-    latency: Interval | None = (
-        None  # from the true exposure to arrival [s]; 0 to `MOST_LATENCY` where the log leaves it open, and without an
-        # end where it may be beyond what is searched
-    )
-    jitter: float | None = (
-        None  # most that a frame is later than the earliest, usually [s]; None where there are no exposure times and
-        # the image is not off by more where it moves faster
-    )
+    # from the true exposure to arrival [s]; 0 to `MOST_LATENCY` where the log leaves it open, and without an end where
+    # it may be beyond what is searched
+    latency: Interval | None = None
+    # most that a frame is later than the earliest, usually [s]; None where there are no exposure times and the image is
+    # not off by more where it moves faster
+    jitter: float | None = None
     stamps: Interval | None = None  # what exposure times are late by [s]; None without them
-    noise: Interval | None = (
-        None  # standard deviation of a coordinate, of an image at rest [px]; None where the joints explain most of it
-    )
+    # standard deviation of a coordinate, of an image at rest [px]; None where the joints explain most of it
+    noise: Interval | None = None
     explained: float | None = None  # share of the image motion kept apart that is predicted, 1: all; None: none there
     target: Array = field(default_factory=lambda: np.zeros(6))  # displacement of the scenario's target [m; rad]
     target_deviations: Array = field(default_factory=lambda: np.full(6, np.inf))  # standard, of these [m; rad]
@@ -93,9 +90,7 @@ class CameraFit(Part):
     jitter_of_ticks: bool = False  # the jitter may be motion of the joints between ticks
     rounding: float = 0.0  # step that pixels are rounded to, whose part is not in `noise` [px]; 0: none
     of_rounding: float = 0.0  # share of what the fit leaves across the motion that the rounding explains
-    outliers: Outliers | NoOutliers | None = (
-        None  # wrong detections, whose frames do not count in the fit; None: not known
-    )
+    outliers: Outliers | NoOutliers | None = None  # wrong detections: their frames do not count; None: not known
     open: str = ""  # why nothing was found; empty if something was
 
     @property
@@ -276,7 +271,7 @@ def _fit(sight: PredictedImages, log: Log, joint_noise: Array, *, stamped: bool)
         return f"expected at least {_FEWEST} frames {1e3 * sight.latest:.0f} ms after the start of the log, got {count}"
     fitted = int(FITTED * count)
     part = sight.only(slice(fitted))
-    unit = np.concatenate([np.full(3, sight.scene.depth), np.ones(3)])
+    unit = sight.scene.unit
     lowest = -sight.latest if stamped else 0.0
 
     best = None
@@ -286,8 +281,7 @@ def _fit(sight: PredictedImages, log: Log, joint_noise: Array, *, stamped: bool)
             continue
 
         def displaced(x: Array, late: float = float(late), poses: Poses = poses) -> Array:
-            left = part.left(late, x * unit, poses)
-            return np.full(part.features.size, 1e6) if left is None else left.ravel()
+            return _numbers(part.left(late, x * unit, poses), part)
 
         start = least_squares(displaced, np.zeros(6), method="lm", max_nfev=_ROUNDS)
         if best is None or start.cost < best[0]:
@@ -298,11 +292,10 @@ def _fit(sight: PredictedImages, log: Log, joint_noise: Array, *, stamped: bool)
 
     def residuals(x: Array) -> Array:
         late = float(x[0] * sight.latest)
-        left = part.left(late, x[1:] * unit)
         # The spline has most of the joints' noise at ticks: without the last number, whose square is what this lacks
         # of a constant, least squares would move the frames' times to between two.
         evened = np.sqrt(float(of_joints @ (2.0 - spline_shares(log, part.times - late))))
-        return np.append(np.full(part.features.size, 1e6) if left is None else left.ravel(), evened)
+        return np.append(_numbers(part.left(late, x[1:] * unit), part), evened)
 
     first = np.concatenate([[best[1] / sight.latest], best[2]])
     bounds = [np.r_[lowest / sight.latest, np.full(6, -np.inf)], np.r_[1.0, np.full(6, np.inf)]]
@@ -389,7 +382,7 @@ def _placed_by_weights(
     scattered
         Scatter by the displacement of the target and the residuals.
     """
-    unit = np.concatenate([np.full(3, part.scene.depth), np.ones(3)])
+    unit = part.scene.unit
     poses = part.poses(late)
     for _ in range(_WEIGHED):
         jitter = placed.scatter.jitter
@@ -399,7 +392,7 @@ def _placed_by_weights(
 
         def counted(x: Array, weights: Weights = weights) -> Array:
             left = part.left(late, x * unit, poses)
-            return np.full(part.features.size, 1e6) if left is None else weights.weighed(left).ravel()
+            return _numbers(None if left is None else weights.weighed(left), part)
 
         fit = least_squares(counted, placed.target / unit, x_scale="jac", max_nfev=_ROUNDS)
         target = fit.x * unit
@@ -415,6 +408,11 @@ def _placed_by_weights(
         if placed.scatter.noise.value > (1.0 - _SETTLED) * before:
             break
     return placed
+
+
+def _numbers(left: Array | None, part: PredictedImages) -> Array:
+    """Return residuals (m, 2p) as a search takes them, (2 m p,): large ones where the image gives none."""
+    return np.full(part.features.size, 1e6) if left is None else left.ravel()
 
 
 def _of_one_speed(scatter_by: Callable[[Array], Scatter], at_once: Array, over: Callable[[float], Array]) -> Scatter:

@@ -13,7 +13,7 @@ from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.identification.drives import Drives
 from hexservo.findings.identification.interval import LEVEL, Interval
-from hexservo.findings.identification.log import RESOLVED, Log
+from hexservo.findings.identification.log import Log, least_step
 from hexservo.scenario.arrays import Array, Mask
 
 _NOISE = 0.5  # share of the differences' power that a fit of the drives leaves of noise, at least
@@ -38,8 +38,7 @@ def rounding_deviations(readings: Array, deviations: Array) -> Array:
     deviations
         (6,) of their white noise, as by `joint_deviations`, which has the rounding of readings in motion [m; rad].
     """
-    steps = np.concatenate([np.diff(np.unique(np.round(leg, RESOLVED))) for leg in readings.T])
-    step = float(steps.min()) if len(steps) else 0.0
+    step = least_step(readings.T)
     return np.asarray(np.sqrt(np.maximum(step**2 / 12.0 - deviations**2, 0.0)))
 
 
@@ -73,8 +72,7 @@ def overstated(slopes: Array, power: float) -> float:
     power
         Sum of the squares of what that noise adds to these [px^2/s^2].
     """
-    by_shift, others = slopes[:, 0], slopes[:, 1:]
-    alone = by_shift - others @ np.linalg.lstsq(others, by_shift)[0]
+    alone = _shift_alone(slopes)
     seen = float(alone @ alone)
     return seen / (seen - power) if seen > power else np.inf
 
@@ -89,10 +87,15 @@ def moved_by(slopes: Array, image: Array) -> float:
     image
         (n,) that is added to the residuals [px].
     """
-    by_shift, others = slopes[:, 0], slopes[:, 1:]
-    alone = by_shift - others @ np.linalg.lstsq(others, by_shift)[0]
+    alone = _shift_alone(slopes)
     seen = float(alone @ alone)
     return float(alone @ image) / seen if seen > 0.0 else np.inf
+
+
+def _shift_alone(slopes: Array) -> Array:
+    """Return what of the first column, by the shift, the others do not have, (n,)."""
+    by_shift, others = slopes[:, 0], slopes[:, 1:]
+    return np.asarray(by_shift - others @ np.linalg.lstsq(others, by_shift)[0])
 
 
 def image_of_noise(scene: Scene, poses: Poses, deviations: Array) -> Array:
@@ -108,8 +111,7 @@ def image_of_noise(scene: Scene, poses: Poses, deviations: Array) -> Array:
         (6,) of the joints [m; rad].
     """
     features, depth = scene.probe.image(poses.position, poses.quaternion)
-    pairs = zip(poses.position, poses.quaternion, strict=True)
-    rates = np.array([scene.hexapod.wrench_map(*pose) for pose in pairs]).swapaxes(1, 2)  # of legs, by twist
+    rates = scene.wrench_maps(poses).swapaxes(1, 2)  # of legs, by twist
     return np.asarray(scene.jacobian(features, depth, poses) @ np.linalg.inv(rates) * deviations)
 
 

@@ -9,8 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import binom, binomtest, chi2
+from scipy.stats import binom, chi2
 
+from hexservo.findings.identification.frame_clock import share_of
 from hexservo.findings.identification.interval import LEVEL, Interval
 from hexservo.scenario.arrays import Array, Mask
 
@@ -115,9 +116,8 @@ def _found(left: Array, speed: Array, seen: Mask) -> tuple[Mask, Outliers | NoOu
     ends = [2 * number * both / end for end in chi2.ppf([0.5 + LEVEL / 2, 0.5 - LEVEL / 2], 2 * number)]
     size = Interval(*(float(np.sqrt(max(one - variance, 0.0))) for one in (both, *ends)))
     nearby = min(float(np.exp(edge / (2.0 * both))), total / number)
-    share = binomtest(number, total).proportion_ci(LEVEL, method="exact")
-    ways = (number / total, float(share.low), float(share.high))
-    probability = Interval(*(min(nearby * one, 1.0) for one in ways)).determined()
+    share = share_of(number, total)
+    probability = Interval(*(min(nearby * one, 1.0) for one in (share.value, share.low, share.high))).determined()
     again = int((found[1:] & found[:-1]).sum())
     lasts = bool(again > 1 and binom.sf(again - 1, number, number / total) < _BY_CHANCE)
     return frames, Outliers(int(frames.sum()), count, float(np.sqrt(edge)), probability, size, lasts)

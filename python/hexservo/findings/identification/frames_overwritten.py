@@ -13,9 +13,7 @@ from hexservo.scenario.arrays import Array
 
 _SHORTER = 0.98  # of a tick, most that the period of a camera is whose frames pass for one in each line, with jitter
 _ONE_EACH = 0.99  # share of the frames that have a separate line, in a log that has one frame in each
-_POLLED = (
-    0.9  # order of the frames' phases at ticks from which on they are asked for at ticks, whatever the camera does
-)
+_POLLED = 0.9  # order of phases at ticks from which on frames are asked for at ticks, whatever the camera does
 _SPREAD = 0.1  # of a period, RMS, that frames are off its line by at least if they are of a shorter one
 _CLOSER = 0.5  # of that distance, most that they are off the line of the shorter one
 _RARE = 0.005  # share of the frames at either end of their arrivals about a line

@@ -34,7 +34,7 @@ def fresh_readings(joints: Array) -> Mask:
     runs = np.flatnonzero(np.diff(np.concatenate([[False], whole, [False]]).astype(int))).reshape(-1, 2)
     if not readings.shape[1] or not len(runs):
         return fresh
-    clear = steps > _CLEAR * _resolution(readings)
+    clear = steps > _CLEAR * np.array([np.diff(np.unique(leg)).min() for leg in readings.T])  # steps of rounding
     go = np.concatenate([[False], clear.mean(axis=1) >= _OF_LEGS, [False]])
     at_once = go[runs[:, 0]] & go[runs[:, 1] + 1]  # by the changes before and after a run
     if at_once.any():
@@ -67,8 +67,3 @@ def require_readings(log: Log, source: str | None = None) -> None:
             "the one before, of all legs; read the encoders at every tick, or record for longer",
             source,
         )
-
-
-def _resolution(readings: Array) -> Array:
-    """Return the smallest step between different readings of each leg, (l,) [m; rad]."""
-    return np.array([np.diff(np.unique(leg)).min() for leg in readings.T])

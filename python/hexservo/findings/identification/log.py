@@ -204,9 +204,13 @@ def reading_noise(joints: Array) -> float:
 
     Rounding to steps of d has the variance d^2/12, of which a leg at rest shows nothing.
     """
-    steps = np.diff(np.unique(np.round(joints, RESOLVED)))
-    step = float(steps.min()) if len(steps) else 0.0
-    return max(float(joint_deviations(joints)), step / float(np.sqrt(12.0)))
+    return max(float(joint_deviations(joints)), least_step([joints]) / float(np.sqrt(12.0)))
+
+
+def least_step(legs: Iterable[Array]) -> float:
+    """Return the smallest step between different readings of a leg, each (n,) [m; rad]; 0 where all are the same."""
+    steps = np.concatenate([np.diff(np.unique(np.round(leg, RESOLVED))) for leg in legs])
+    return float(steps.min()) if len(steps) else 0.0
 
 
 def leg_moves(commands: Array, joints: Array, part: slice, least: float = _MOTION) -> bool:

@@ -6,7 +6,6 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from hexservo.findings.diagnosis.findings import Diagnosis
-from hexservo.findings.diagnosis.words import joined
 from hexservo.findings.display import Findings
 from hexservo.findings.evidence import Section, Verdict
 from hexservo.findings.identification import Identification
@@ -56,7 +55,7 @@ def _section(found: LogDiagnosis) -> Section:
     doubtful = found.identification.doubtful
     sentences = list(of_model.sentences)
     if of_model.verdict == "good":
-        sentences = [f"The identified model passes: {joined(found.model.criteria)}."]
+        sentences = [f"The identified model passes: {'; '.join(found.model.criteria)}."]
     elif sentences:
         sentences[0] = f"Of a run of the identified model: {sentences[0]}"
     words = [_of_log(found)]
