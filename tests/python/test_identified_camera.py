@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
+from scipy.signal import lfilter
 from scipy.stats import binom
 
 import hexservo as hs
@@ -94,6 +95,17 @@ def test_a_slow_beat_of_ticks_and_frames_is_within_the_interval(jitter: float) -
         assert found[0].high - found[0].low < 2e-3 * period
         hits += within(found[0], period)
     assert hits >= least_of(count)
+
+
+def test_the_period_of_frames_whose_lateness_wanders_is_within_the_interval() -> None:
+    """Lateness that is alike over some ten frames, as of a loaded bus: so many frames are worth one of white jitter."""
+    random, hits, count = np.random.default_rng(SEED), 0, 60
+    for _ in range(count):
+        late = lfilter([1.0], [1.0, -0.8], random.normal(0.0, 3e-4, 600))
+        found = clock(PERIOD * np.arange(600) + late)
+        assert found is not None
+        hits += within(found[0], PERIOD)
+    assert hits >= least_of(count)  # 25 if residuals counted as white
 
 
 @pytest.mark.parametrize("whole", [1, 2, 3])
@@ -323,6 +335,31 @@ def test_the_noise_of_joints_is_neither_noise_nor_jitter_of_the_camera(jitter: f
     assert blamed.jitter is not None
 
 
+def test_a_fitted_target_takes_six_of_the_residuals() -> None:
+    """Of five frames that scatter by 0.3 px about a target whose displacement is fitted to them."""
+    random, found = np.random.default_rng(SEED), []
+    for _ in range(400):
+        by_target = np.linalg.qr(random.normal(size=(40, 6)))[0]
+        left = random.normal(0.0, 0.3, 40)
+        left = (left - by_target @ (by_target.T @ left)).reshape(5, 8)
+        speed = random.normal(0.0, 100.0, (5, 8))
+        found.append(scatter_of(left, speed, np.zeros((5, 8, 6)), 1.0).noise.value)
+    variance, across = float(np.mean(np.square(found))), 40 - 5 - 6
+    overlap = 6 * 5 / 40  # of the target's numbers, along the motion
+    assert variance == pytest.approx(0.3**2 * (1 + overlap / across), rel=4 * np.sqrt(2 / (400 * across)))
+
+
+def test_jitter_is_the_whole_width_of_uniform_latencies(paper: hs.Scenario) -> None:
+    """Also of the share at either end that is left out of it: of latencies spread evenly over 20 ms, 20 ms."""
+    log = seen_log(paper, 0.05, stamps=0.0)
+    assert log.frames is not None
+    assert log.frames.exposure is not None
+    late = np.random.default_rng(SEED).permutation(np.linspace(0.0, 0.02, len(log.frames.arrival)))
+    frames = replace(log.frames, arrival=log.frames.exposure + 0.05 + late)
+    camera = fit_camera(replace(log, frames=frames), Scene(paper))
+    assert camera.jitter == pytest.approx(0.02, rel=1e-6)
+
+
 def test_the_noise_of_joints_does_not_move_the_latency(paper: hs.Scenario) -> None:
     """Of frames that are all taken at a quarter of a tick, where the spline has more noise than between two."""
     log = seen_log(paper, 0.05, stamps=None)
@@ -344,7 +381,16 @@ def test_a_shift_of_noisy_readings_is_known_less_well() -> None:
     slopes = np.array([[3.0, 0.0], [4.0, 0.0], [7.0, 1.0]])
     assert overstated(slopes, 0.0) == pytest.approx(1.0)
     assert overstated(slopes, 5.0) == pytest.approx(25.0 / 20.0)
+    assert overstated(slopes, 21.0) == np.inf  # as noise of 25 may be
     assert overstated(slopes, 25.0) == np.inf
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_noise_of_joints_at_rest_does_not_tell_the_latency(paper: hs.Scenario, seed: int) -> None:
+    """Their spline moves, by noise alone: least squares took it for a motion, and stated 53.4 +- 1.2 ms or 155 ms."""
+    log = seen_log(paper, 0.05, stamps=None, moving=False, seed=seed)
+    noisy = log.joints + np.random.default_rng(seed).normal(0.0, 5e-5, log.joints.shape)
+    assert not fit_camera(replace(log, joints=noisy), Scene(paper)).latency_is_known
 
 
 def test_an_image_moves_a_shift_as_least_squares_does() -> None:
