@@ -1063,7 +1063,7 @@ def test_signatures_detect_the_patterns_they_describe() -> None:
 @pytest.mark.parametrize(
     ("dropout", "expected"),
     [
-        (0.5, "Frames arrive every 0.066 s on average, instead of every 0.033 s."),
+        (0.8, "Frames arrive every 0.165 s on average, instead of every 0.033 s."),
         (1.0, "No frame arrives, instead of one every 0.033 s."),
     ],
 )

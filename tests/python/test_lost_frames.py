@@ -56,6 +56,16 @@ def test_the_mean_age_is_the_sum_over_the_frames_that_may_be_lost(dropout: float
         assert image_age(scenario) == pytest.approx(mean, rel=1e-9)
 
 
+@pytest.mark.parametrize("frames", [2, 4])
+def test_the_mean_age_is_exact_where_the_timeout_is_a_whole_number_of_frames(frames: int) -> None:
+    """An image is used at its last tick, whose age is the timeout: of f frames of 66 ticks, 65 after its arrival."""
+    ticks = 66 + 66 * frames - 1
+    scenario = with_camera("slow-camera", dropout=0.5, timeout=round(0.001 * ticks, 9))
+    ages = np.arange(66, ticks + 1)  # [ticks], of the newest image
+    mean = 0.001 * np.average(ages, weights=0.5 ** ((ages - 66) // 66))
+    assert image_age(scenario) == pytest.approx(mean, rel=1e-9)
+
+
 def test_the_age_has_no_wait_where_no_frame_or_every_frame_is_lost() -> None:
     assert image_age(with_camera("slow-camera", dropout=1.0)) == image_age(with_camera("slow-camera"))
     assert image_age(with_camera("slow-camera", dropout=0.9, timeout=0.14)) == pytest.approx(0.1, rel=0.05)
