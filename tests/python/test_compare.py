@@ -235,6 +235,7 @@ def test_ctrl_c_keeps_what_is_finished(monkeypatch: pytest.MonkeyPatch) -> None:
     assert compared.finished == 1
     assert [row.outcome for row in compared.rows] == ["completed", "interrupted"]
     assert compared.row("hybrid", "paper").why == "not begun"
+    assert [row["settled"] for row in csv.DictReader(io.StringIO(compared.to_csv()))] == ["no", ""]
     compared.figure()
 
 
