@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import re
 import shutil
@@ -266,6 +267,17 @@ def test_an_axis_within_one_decade_is_linear() -> None:
 def test_a_bar_without_an_interval_has_none_in_the_page() -> None:
     share = Share("first order", np.zeros(2), np.array([[np.nan, np.nan], [0.0, 0.1]]))
     assert "chart" in str(bars(Bars("Indices", "share", ["a", "b"], [share])))
+
+
+def test_the_interval_of_a_bar_is_drawn_from_its_end() -> None:
+    """plotly.js has it as lengths above and below the value."""
+    share = Share("first order", np.array([0.25]), np.array([[0.125, 0.75]]))
+    page = str(bars(Bars("Indices", "share", ["a"], [share])))
+    lengths = [
+        np.frombuffer(base64.b64decode(re.findall(rf'"{name}":\s*{{[^}}]*"bdata":\s*"([^"]+)"', page)[0]), "<f4").tolist()
+        for name in ("array", "arrayminus")
+    ]
+    assert lengths == [[0.5], [0.125]]
 
 
 def test_a_campaign_without_runs_and_without_failures(tmp_path: Path) -> None:

@@ -45,6 +45,7 @@ from hexservo.findings.diagnosis.gains import slower
 from hexservo.findings.diagnosis.goal import goal_of, pixels_per_metre, seen_from_home, spread_target
 from hexservo.findings.diagnosis.model import Case, Removal
 from hexservo.findings.diagnosis.ranking import Study, controls, judged, make_cases, pairs, rank, study
+from hexservo.findings.diagnosis.remedies import rounded_up
 from hexservo.findings.diagnosis.runs import Run, displacements_in_base, record_of, run_all
 from hexservo.findings.diagnosis.words import ends, misses, warnings_of
 from hexservo.findings.evidence import Curves, Table
@@ -867,6 +868,11 @@ def test_the_camera_without_delay_loses_frames_as_before() -> None:
     (removal,) = cause_of("late_camera").removals(case_of(scenario))
     lost = removal.changes["camera.dropout"]
     assert lost / (1.0 - lost) * scenario.simulation.step == pytest.approx(0.33 / 0.67 * frame_period(scenario))
+
+
+def test_a_remedy_is_rounded_to_two_digits_and_never_down() -> None:
+    for number, rounded in ((1.01, 1.1), (12.3, 13.0), (0.0451, 0.046), (980.0, 980.0), (991.0, 1000.0)):
+        assert rounded_up(number) == pytest.approx(rounded, rel=1e-12)
 
 
 def test_the_weighed_platform_is_the_same_platform() -> None:

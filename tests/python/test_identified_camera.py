@@ -530,6 +530,20 @@ def test_an_exact_image_at_rest_does_not_repeat_while_the_joints_have_noise(pape
     assert fit_camera(rests, Scene(paper)).repeated == 0
 
 
+def test_an_exact_image_that_rests_for_a_while_does_not_repeat_either(paper: hs.Scenario) -> None:
+    """It moves before and after: without noise of the joints, which is no motion, it would be seen to rest."""
+    log = seen_log(paper, 0.05, stamps=None, noise=0.0)
+    assert log.frames is not None
+    begin, end = log.time[-1] / 3.0, 2.0 * log.time[-1] / 3.0
+    rest, equal = ((one > begin) & (one < end) for one in (log.time, log.frames.arrival))
+    joints, features = log.joints.copy(), log.frames.features.copy()
+    joints[rest] = joints[rest][0] + 1e-6 * np.random.default_rng(3).normal(size=joints[rest].shape)
+    features[equal] = features[equal][0]
+    rests = replace(log, joints=joints, frames=replace(log.frames, features=features))
+    assert rests.frames is not None
+    assert not repeats(rests, rests.frames).any()
+
+
 @pytest.mark.parametrize(("noise", "step"), [(0.0, 1e-6), (0.0, 0.1)])
 def test_images_that_are_equal_at_a_long_rest_count(paper: hs.Scenario, noise: float, step: float) -> None:
     """They are rounded to `step` [px], 1e-6 as of a camera without noise, and the joints are noisy."""
