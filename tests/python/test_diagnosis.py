@@ -871,8 +871,8 @@ def test_the_camera_without_delay_loses_frames_as_before() -> None:
 
 
 def test_a_remedy_is_rounded_to_two_digits_and_never_down() -> None:
-    for number, rounded in ((1.01, 1.1), (12.3, 13.0), (0.0451, 0.046), (980.0, 980.0), (991.0, 1000.0)):
-        assert rounded_up(number) == pytest.approx(rounded, rel=1e-12)
+    for needed, given in ((1.01, 1.1), (12.3, 13.0), (0.0451, 0.046), (980.0, 980.0), (991.0, 1000.0)):
+        assert rounded_up(needed) == pytest.approx(given, rel=1e-12)
 
 
 def test_the_weighed_platform_is_the_same_platform() -> None:

@@ -33,7 +33,15 @@ from hexservo.draw.wrench import control_wrench
 from hexservo.report.figures import figures
 from hexservo.run.files import MARKER
 from hexservo.run.publish import OutputError
-from hexservo.run.samples import axis_range, image_views, initial_direction, parts, rotation_vectors, turns_from_home
+from hexservo.run.samples import (
+    axis_range,
+    image_views,
+    initial_direction,
+    parts,
+    rotation_vectors,
+    turns_from_home,
+)
+from hexservo.scenario.rotations import quaternions_of_matrices
 
 Array = NDArray[np.float64]
 
@@ -546,7 +554,10 @@ def test_a_turn_from_a_home_that_is_turned_is_in_b() -> None:
 def test_a_magnified_view_has_the_whole_of_narrow_paths() -> None:
     changes = {"camera.image_size": [900, 900], "simulation.mode": "sampled", "simulation.duration": 0.3}
     corners = np.array([[30, 5], [30, -5], [-30, -5], [-30, 5]])
-    target = {"target.initial_features": corners.ravel(), "target.desired_features": (corners + [2, 0]).ravel()}
+    target = {
+        "target.initial_features": corners.ravel(),
+        "target.desired_features": (corners + np.array([2, 0])).ravel(),
+    }
     result = run(**changes, **target)
     _, magnified = image_views(result)
     places = result.features.reshape(-1, 2)
@@ -688,6 +699,14 @@ def test_rotation_vector_of_a_known_turn(angle: float, scale: float) -> None:
     if angle == np.pi and vector @ AXIS < 0:  # half a turn either way is the same
         vector = -vector
     np.testing.assert_allclose(vector, angle * AXIS, rtol=4e-16 * 8, atol=0)
+
+
+def test_quaternions_of_matrices_are_those_of_scipy() -> None:
+    """Of random attitudes, and of half turns, whose scalar part is zero, about each axis."""
+    halves = Rotation.from_rotvec(np.pi * np.vstack([np.eye(3), np.ones(3) / np.sqrt(3.0)]))
+    attitudes = Rotation.concatenate([Rotation.random(50, rng=np.random.default_rng(SEED)), halves])
+    found = Rotation.from_quat(quaternions_of_matrices(attitudes.as_matrix()), scalar_first=True)
+    np.testing.assert_allclose((found * attitudes.inv()).magnitude(), 0.0, atol=1e-7)
 
 
 def test_rotation_vector_takes_the_shorter_way() -> None:

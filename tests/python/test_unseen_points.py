@@ -222,7 +222,7 @@ def test_a_tag_on_a_platform_that_turns_it_to_a_camera_on_the_base_is_seen(turn:
     if seen:
         watched.updated(changes)
     else:
-        with pytest.raises(ValueError, match=r"before the camera at simulation\.start\.pose, got one with its back to it"):
+        with pytest.raises(ValueError, match=r"the camera at simulation\.start\.pose, got one with its back to it"):
             watched.updated(changes)
 
 
