@@ -177,6 +177,15 @@ def test_ticks_repeat_the_run_that_they_replay(paper: hs.Scenario) -> None:
     assert times.latency.min() > 0
 
 
+def test_quantiles_of_times_are_times_that_were_measured() -> None:
+    """Of 1 to 1000 ns: one that 10 of 1000 exceed, and one that one does."""
+    found = module._distribution(np.random.default_rng(1).permutation(np.arange(1, 1001, dtype=np.uint32)))
+    quantiles = (found.median, found.percentile_99, found.percentile_99_9, found.maximum)
+    np.testing.assert_allclose(quantiles, 1e-9 * np.array([501.0, 991.0, 1000.0, 1000.0]))
+    assert sum(found.counts) == 1000
+    assert len(found.edges) == len(found.counts) + 1
+
+
 @pytest.mark.parametrize("law", LAWS)
 def test_every_law_repeats_its_run(paper: hs.Scenario, law: str) -> None:
     timing = module._time_ticks(module._replayed(paper, law), None, module.Plan(ticks=5000))  # wrong answers raise

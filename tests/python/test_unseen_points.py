@@ -235,7 +235,8 @@ def test_a_point_is_outside_from_each_sample_until_the_next(half_turn: hs.Scenar
         errors[:] = 0.0
         errors[rows, 0] = desired[0] - 400.0
         (found,) = unseen_points(replace(run, feature_error=errors.copy()))
-        assert (found.point, found.first) == (1, pytest.approx(0.1 * rows.start))
+        assert found.point == 1
+        assert found.first == pytest.approx(0.1 * rows.start)
         assert found.total == pytest.approx(total)
 
 
