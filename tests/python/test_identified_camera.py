@@ -28,7 +28,7 @@ from hexservo.findings.identification.frames_noise import (
     spline_shares,
 )
 from hexservo.findings.identification.frames_repeated import repeats
-from hexservo.findings.identification.interval import Interval, deviations, robust_deviations
+from hexservo.findings.identification.interval import Interval, correlated, deviations, robust_deviations
 from hexservo.findings.identification.log import Frames, Log, joint_deviations
 from recorded_machines import Drive, record, see
 from test_identification import METRES, SEED, commands_of, seen_log, within
@@ -146,6 +146,15 @@ def test_the_noise_is_what_the_law_tracking_assumes(paper: hs.Scenario) -> None:
     assert of_law(tracking, {"camera.noise": 1.1}) == {"controller.tracking.noise": 1.1}
     assert of_law(tracking, {"camera.noise": 0.0}) == of_law(tracking, {}) == {}
     assert of_law(paper, {"camera.noise": 1.1}) == {}
+
+
+def test_residuals_are_correlated_over_the_time_of_their_process() -> None:
+    """(1 + r)/(1 - r) samples where one has r of the one before; white ones over one, in 95 of 100 records."""
+    random = np.random.default_rng(SEED)
+    assert sum(correlated(random.normal(size=1000)) == 1.0 for _ in range(100)) >= 85
+    for r in (0.5, 0.8):
+        found = [correlated(lfilter([1.0], [1.0, -r], random.normal(size=4000))) for _ in range(20)]
+        assert np.mean(found) == pytest.approx((1.0 + r) / (1.0 - r), rel=0.15)
 
 
 def test_robust_deviations_are_those_of_repeated_fits() -> None:
@@ -601,6 +610,8 @@ def test_the_rounding_of_resting_joints_is_no_noise_of_the_camera(paper: hs.Scen
     white = joint_deviations(log.joints)
     added = rounding_deviations(log.joints, white)
     np.testing.assert_allclose(np.hypot(white, added), step / np.sqrt(12.0), rtol=1e-6)
+    half = np.full(6, step / np.sqrt(24.0))  # of the variance, which differences of readings in motion have
+    np.testing.assert_allclose(rounding_deviations(log.joints, half), half, rtol=1e-6)
     assert (rounding_deviations(fine.joints, white) < 1e-9).all()
     camera = fit_camera(log, Scene(paper))
     assert 0.05 < camera.of_joints < 0.5
