@@ -127,6 +127,9 @@ def test_the_json_says_what_was_measured_on_what(document: dict[str, Any]) -> No
         # 1 ms of simulated time; one thread cannot use more processor time than passes.
         assert speed["real_time"] == pytest.approx(1e-3 / speed["wall"])
         assert speed["processor"] <= 1.05 * speed["wall"] * speed["threads"]
+    for variant in available_variants():  # of a step of one scenario, whatever a run and a batch have of them
+        single, batch = (speeds[work, variant, 1]["processor"] for work in ("single", "batch"))
+        assert 0.3 < single / batch < 100.0
 
 
 def test_ctrl_c_ends_it_and_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
