@@ -264,6 +264,16 @@ def test_an_axis_within_one_decade_is_linear() -> None:
         assert layout["xaxis"]["type"] == "log"
 
 
+def test_an_error_matters_by_its_distance_from_the_median_too() -> None:
+    """The margin falls to both sides of 5; the value itself, or its size, has nothing of it."""
+    value = np.random.default_rng(3).uniform(0.0, 10.0, 400)
+    margin = 1.0 - np.abs(value - np.median(value))
+    table = pa.table({"index": np.arange(400), "mass": value, "outcome": ["completed"] * 400, "margin": margin})
+    ((name, size),) = correlations(table)
+    assert name == "mass"
+    assert size == pytest.approx(1.0)
+
+
 def test_a_bar_without_an_interval_has_none_in_the_page() -> None:
     share = Share("first order", np.zeros(2), np.array([[np.nan, np.nan], [0.0, 0.1]]))
     assert "chart" in str(bars(Bars("Indices", "share", ["a", "b"], [share])))

@@ -870,6 +870,15 @@ def test_the_camera_without_delay_loses_frames_as_before() -> None:
     assert lost / (1.0 - lost) * scenario.simulation.step == pytest.approx(0.33 / 0.67 * frame_period(scenario))
 
 
+def test_one_unusual_entry_of_a_gain_makes_it_unusual() -> None:
+    scenario = hs.load_scenario("paper-nominal").updated({"controller.law": "composite"})
+    assert "controller.composite.kt" not in unusual(scenario)
+    kt = np.array(scenario.controller.composite.kt)
+    for factor, expected in ((1.4, False), (1.6, True)):
+        changed = scenario.updated({"controller.composite.kt": (kt * [1, 1, factor, 1, 1, 1]).tolist()})
+        assert ("controller.composite.kt" in unusual(changed)) == expected
+
+
 def test_a_remedy_is_rounded_to_two_digits_and_never_down() -> None:
     for needed, given in ((1.01, 1.1), (12.3, 13.0), (0.0451, 0.046), (980.0, 980.0), (991.0, 1000.0)):
         assert rounded_up(needed) == pytest.approx(given, rel=1e-12)
