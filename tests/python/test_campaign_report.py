@@ -265,7 +265,7 @@ def test_an_axis_within_one_decade_is_linear() -> None:
 
 
 def test_an_error_matters_by_its_distance_from_the_median_too() -> None:
-    """The margin falls to both sides of 5; the value itself, or its size, has nothing of it."""
+    """The margin falls to both sides of 5, and so correlates neither with the value nor with its size."""
     value = np.random.default_rng(3).uniform(0.0, 10.0, 400)
     margin = 1.0 - np.abs(value - np.median(value))
     table = pa.table({"index": np.arange(400), "mass": value, "outcome": ["completed"] * 400, "margin": margin})

@@ -66,7 +66,7 @@ def test_drives_that_predict_no_reading_that_is_left_out_do_not_count(
 
 def test_joints_stay_at_their_last_reading() -> None:
     """After which a driver may have repeated it; a cubic of the readings before would go on."""
-    time = PERIOD * np.arange(20)
+    time: Array = PERIOD * np.arange(20.0)
     readings = np.tile(time**2, (6, 1)).T
     motion = JointMotion(time, readings, None, CubicSpline(time, readings))
     np.testing.assert_allclose(motion(time[-1] + np.array([0.0, PERIOD, 3.0 * PERIOD])), np.tile(readings[-1], (3, 1)))
