@@ -104,6 +104,16 @@ def test_the_delay_margin_is_phase_margin_over_crossover(stiffness: float, dampi
     assert found.stable * tick == pytest.approx(expected, abs=2 * tick)
 
 
+@pytest.mark.parametrize("wrong", [0, 1, 2, 3, 6])
+def test_up_to_two_axes_that_go_away_are_drifts_and_more_a_wrong_sign(wrong: int) -> None:
+    """x'' = +-100 x - 20 x': unequal depth errors turn at most two directions around; a mode of each grows."""
+    signs, one = np.repeat([-1.0, 1.0], [wrong, 6 - wrong]), np.eye(6)
+    loop = SampledLoop(1e-3, one, frame=-100.0 * np.diag(signs), pose=0.0 * one, twist=-20.0 * one)
+    found = loop_margins(loop, Clock(1, 0), borders=False)
+    assert found.drifts == wrong
+    assert found.perfect == found.stable == (wrong <= 2)
+
+
 @pytest.mark.parametrize(("latency", "stable"), [(200, True), (2, False), (400, False)])
 def test_a_loop_that_a_perfect_camera_makes_unstable_has_limits_on_both_sides(latency: int, stable: bool) -> None:
     """x'' = -100 x + 0.5 x' + 20 x(t - tau): the delay damps. By hand, stable where 20 sin(w tau)/w > 0.5 there."""

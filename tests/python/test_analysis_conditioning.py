@@ -188,6 +188,14 @@ def test_the_noise_of_a_sampled_camera_is_the_noise_of_the_sentences() -> None:
         assert f"uncertain by {numbers(1e3 * found.noise * found.start.pose_sigma[:3])} mm" in sentence
 
 
+def test_a_position_uncertain_by_half_of_the_depth_is_unobservable(paper: hs.Scenario) -> None:
+    found = conditioning.analyse(paper).start
+    limit = 0.5 * 0.5 / found.pose_sigma[:3].max()  # [px], of points that are 0.5 m away
+    assert found.pose_sigma[:3].argmax() != 2  # along any axis
+    assert not found.unobservable(0.99 * limit)
+    assert found.unobservable(1.01 * limit)
+
+
 # ---- the pose of the goal -------------------------------------------------------------------------------------------
 
 

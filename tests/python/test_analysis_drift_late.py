@@ -77,6 +77,17 @@ def test_growth_too_fast_for_images_is_that_without_them() -> None:
     assert rates.real.min() == pytest.approx(-1e6)
 
 
+@pytest.mark.parametrize("growth", [0.5, 5.0, 25.0])
+def test_an_image_matters_however_fast_the_pose_grows_before_the_next(growth: float) -> None:
+    """y' = a y - h u with u = y at each exposure, used at once: y grows by e^(a T) - h/a (e^(a T) - 1) in T."""
+    hold, share = 0.1, 0.5  # T, and h/a
+    a = growth / hold
+    late = Lateness(0.5 * hold, hold, "")
+    rates = late_rates(-a * np.eye(6)[None], share * a * np.eye(6)[None], late)[0]
+    expected = math.log(math.exp(growth) - share * math.expm1(growth)) / hold
+    assert -rates.real.min() == pytest.approx(expected, rel=1e-9)
+
+
 def test_exponentials_are_those_of_scipy() -> None:
     matrices = np.random.default_rng(1).normal(size=(3, 8, 8)) * np.array([0.01, 1.0, 5.0])[:, None, None]
     for mine, theirs in zip(exponential(matrices), (expm(matrix) for matrix in matrices), strict=True):

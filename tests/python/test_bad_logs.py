@@ -229,6 +229,10 @@ def test_legs_a_little_beyond_their_stroke_are_not_refused(machine: str) -> None
     require_reach(replace(log, commands=log.commands + 0.8 * scenario.robot.stroke), scenario)
     jump = np.where(np.arange(60)[:, None] < 20, 1.5 * scenario.robot.stroke, 0.0)
     require_reach(replace(log, joints=log.joints - jump), scenario)
+    joints = log.joints.copy()
+    joints[17, 2] += 4.0 * scenario.robot.stroke
+    with pytest.raises(hs.ScenarioError, match=r"of leg 3 near .* is the reading wrong\?"):
+        require_reach(replace(log, joints=joints), scenario)
 
 
 def test_the_command_names_the_file_of_legs_out_of_reach(tmp_path: Path) -> None:

@@ -127,6 +127,9 @@ def test_the_json_says_what_was_measured_on_what(document: dict[str, Any]) -> No
         # 1 ms of simulated time; one thread cannot use more processor time than passes.
         assert speed["real_time"] == pytest.approx(1e-3 / speed["wall"])
         assert speed["processor"] <= 1.05 * speed["wall"] * speed["threads"]
+    for variant in available_variants():  # of a step of one scenario, whatever a run and a batch have of them
+        single, batch = (speeds[work, variant, 1]["processor"] for work in ("single", "batch"))
+        assert 0.3 < single / batch < 100.0
 
 
 def test_ctrl_c_ends_it_and_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -175,6 +178,15 @@ def test_ticks_repeat_the_run_that_they_replay(paper: hs.Scenario) -> None:
     # Zero weights at the start make the first ticks alike; then forward Euler and Runge-Kutta differ, but by little.
     assert 0.0 < times.wrench_difference < 5e-4
     assert times.latency.min() > 0
+
+
+def test_quantiles_of_times_are_times_that_were_measured() -> None:
+    """Of 1 to 1000 ns: one that 10 of 1000 exceed, and one that one does."""
+    found = module._distribution(np.random.default_rng(1).permutation(np.arange(1, 1001, dtype=np.uint32)))
+    quantiles = (found.median, found.percentile_99, found.percentile_99_9, found.maximum)
+    np.testing.assert_allclose(quantiles, 1e-9 * np.array([501.0, 991.0, 1000.0, 1000.0]))
+    assert sum(found.counts) == 1000
+    assert len(found.edges) == len(found.counts) + 1
 
 
 @pytest.mark.parametrize("law", LAWS)

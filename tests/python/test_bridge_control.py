@@ -191,9 +191,10 @@ def test_a_displaced_target_displaces_the_features(name: str) -> None:
     np.testing.assert_allclose(other - one, expected, rtol=0, atol=1e-4 * np.abs(expected).max())
 
 
-def test_a_continuous_loop_follows_its_target_as_short_ticks_do() -> None:
+@pytest.mark.parametrize("name", ["computed_torque", "composite"])  # the latter with fuzzy systems that learn
+def test_a_continuous_loop_follows_its_target_as_short_ticks_do(name: str) -> None:
     for prediction in ("none", "encoder"):
-        scenario = law("computed_torque").updated({"simulation.step": 1e-4})
+        scenario = law(name).updated({"simulation.step": 1e-4})
         if prediction == "encoder":
             scenario = scenario.updated({"simulation.mode": "sampled", "camera.prediction": prediction})
         s = 2j * np.pi * 1.0

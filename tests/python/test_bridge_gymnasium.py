@@ -184,6 +184,8 @@ def test_a_failed_run_terminates_its_episode_alone_and_costs_what_is_left(scenar
     assert terminated.tolist() == [True, False]
     left = scenario.simulation.duration - info["time"]
     assert rewards[0] < -10 * left[0] < rewards[1] < 0
+    assert rewards[0] > -10 * left[0] - 1.0  # and the error of a tick
+    assert left[0] < 0.8
 
 
 def test_a_finished_episode_repeats_its_flags(scenario: hs.Scenario) -> None:

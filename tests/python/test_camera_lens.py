@@ -21,7 +21,14 @@ from hexservo.cli.terminal import load
 from hexservo.run.export import gains_header
 from hexservo.scenario.laws import LAWS
 from hexservo.scenario.parameters import core_parameters
-from hexservo.scenario.pixels import desired_features, on_pinhole, to_features, to_pixels
+from hexservo.scenario.pixels import (
+    desired_features,
+    on_pinhole,
+    pixel_slopes,
+    points_outside,
+    to_features,
+    to_pixels,
+)
 
 SIZE = (1280, 960)
 MATRIX = np.array([[905.5, 0.0, 650.25], [0.0, 903.0, 470.75], [0.0, 0.0, 1.0]])
@@ -85,6 +92,23 @@ def test_pixels_are_those_of_opencv(plain_camera: hs.Scenario, lens: str) -> Non
     features = f * rays[:, :2] / rays[:, 2:] * [1.0, -1.0]  # y up
     pixels = camera.pixels(features)
     np.testing.assert_allclose(pixels, opencv(lens, rays), rtol=0, atol=1e-9)
+
+
+def test_slopes_of_pixels_are_those_of_neighbouring_points(plain_camera: hs.Scenario) -> None:
+    """Row by row those of u and of v, of a lens with two focal lengths and tangential terms, which mixes both."""
+    scenario, place = in_pixels(plain_camera, "brown_conrady"), np.array([-300.0, 200.0])
+    (slopes,) = pixel_slopes(scenario, place)
+    for axis in range(2):
+        near = place + np.eye(2)[axis]
+        np.testing.assert_allclose(to_pixels(scenario, near) - to_pixels(scenario, place), slopes[:, axis], atol=2e-3)
+    assert abs(slopes[0, 1] - slopes[1, 0]) > 0.01
+
+
+def test_an_image_begins_half_a_pixel_before_the_centre_of_its_first_one(plain_camera: hs.Scenario) -> None:
+    """As OpenCV counts: of 1280 columns from -0.5 to 1279.5."""
+    scenario = in_pixels(plain_camera, "pinhole")
+    for u, outside in ((-0.6, True), (-0.4, False), (SIZE[0] - 0.6, False), (SIZE[0] - 0.4, True)):
+        assert points_outside(scenario, to_features(scenario, [u, 300.0])).tolist() == [outside]
 
 
 @pytest.mark.parametrize("lens", LENSES)

@@ -156,6 +156,7 @@ def test_the_worst_runs_come_as_scenarios(whole: Path) -> None:
     table = result.to_dataframe()
     worst = result.worst(3)
     assert [run.margin for run in worst] == sorted(table.margin)[:3]
+    assert [run.margin for run in result.worst(1000)] == sorted(table.margin)[:10]
     for run in worst:
         row = table.loc[run.index]
         repeated = hs.simulate(run.scenario)

@@ -76,6 +76,7 @@ def test_the_spread_of_repetitions_is_that_of_their_mean(planted: float, margin:
     print(f"seeds 0 to 39: mean {shares.mean():.2f}, spread {spread:.2f}, stated {stated:.2f}, {sum(differ)} differ")
     assert abs(shares.mean() - 1) < 4 * spread / math.sqrt(40)
     assert spread < 1.5 * stated
+    assert stated < 1.5 * spread
     assert all(differ) if planted == 3e-4 else not any(differ)
     first = found[0].section().sentences[0]
     assert "the mean of 5 independent repetitions from " in first

@@ -16,6 +16,8 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 import hexservo as hs
+from hexservo.campaigns.distributions import SEED, Variation, uniform_of
+from hexservo.campaigns.drawing import Drawing
 from hexservo.campaigns.plan import CampaignPlan, campaign_names, load_plan
 from hexservo.campaigns.requirements import distance_of, margin_of, ranks_of, requirement_of, run_margins
 from hexservo.run.publish import OutputError
@@ -66,6 +68,22 @@ def test_a_seed_is_a_number_of_the_counter_and_the_key_alone() -> None:
     for run in (0, 1, 7, 12_345, 10**11):
         block = philox(run * width + 37 // 4 + 1, key)  # NumPy counts before it draws
         assert PLAN.drawing().numbers(run, run + 1)["seed"].tolist() == [block[37 % 4]]
+
+
+def test_runs_take_no_more_blocks_than_their_numbers_need() -> None:
+    """Four numbers are one block of the counter."""
+    vary = {f"uncertainty.{name}": Variation("uniform", (0.0, 0.1)) for name in ("gravity", "inertia", "coriolis")}
+    drawing = Drawing(hs.load_scenario("paper"), {**vary, "seed": Variation(SEED)}, 5)
+    for run in (0, 1, 7):
+        assert drawing.numbers(run, run + 1)["seed"].tolist() == [philox(run + 1, 5)[3]]
+
+
+def test_uniform_numbers_are_within_their_ends() -> None:
+    """Of which a normal distribution has none."""
+    bits = np.array([0, 2**64 - 1], dtype=np.uint64)
+    low, high = uniform_of(bits)
+    assert 0.0 < low < high < 1.0
+    assert low + high == 1.0
 
 
 @pytest.mark.parametrize("sizes", [[1] * 50, [7, 13, 30], [50]])

@@ -76,6 +76,15 @@ def test_a_batch_leaves_out_what_is_no_valid_scenario() -> None:
     assert (len(kept), margins.shape, batch) == (0, (0, 2), None)
 
 
+def test_runs_of_a_search_end_at_singular_poses_whatever_is_required() -> None:
+    """As those of `simulate` do, though the settling time needs no legs."""
+    vary = {"uncertainty.gravity": {"choice": [0.5]}}
+    plan = load_plan({"scenario": "paper-gravity", "runs": 1, "vary": vary, "require": ["final_error <= 1"]})
+    batch = Judge(plan, 1).judged(plan.drawing().numbers(0, 1))[1]
+    alone = hs.simulate(plan.scenario.updated({"uncertainty.gravity": 0.5}))
+    assert batch.outcome.tolist() == [alone.outcome] == ["singular"]
+
+
 def test_the_worst_case_leaves_out_what_is_no_valid_scenario(tmp_path: Path) -> None:
     result = hs.campaign(with_valid_runs(2), tmp_path / "out", threads=1)
     case = hs.worst_case(result, runs=30, restarts=1, threads=1)

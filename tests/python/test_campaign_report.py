@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import re
 import shutil
@@ -263,9 +264,28 @@ def test_an_axis_within_one_decade_is_linear() -> None:
         assert layout["xaxis"]["type"] == "log"
 
 
+def test_an_error_matters_by_its_distance_from_the_median_too() -> None:
+    """The margin falls to both sides of 5, and so correlates neither with the value nor with its size."""
+    value = np.random.default_rng(3).uniform(0.0, 10.0, 400)
+    margin = 1.0 - np.abs(value - np.median(value))
+    table = pa.table({"index": np.arange(400), "mass": value, "outcome": ["completed"] * 400, "margin": margin})
+    ((name, size),) = correlations(table)
+    assert name == "mass"
+    assert size == pytest.approx(1.0)
+
+
 def test_a_bar_without_an_interval_has_none_in_the_page() -> None:
     share = Share("first order", np.zeros(2), np.array([[np.nan, np.nan], [0.0, 0.1]]))
     assert "chart" in str(bars(Bars("Indices", "share", ["a", "b"], [share])))
+
+
+def test_the_interval_of_a_bar_is_drawn_from_its_end() -> None:
+    """plotly.js has it as lengths above and below the value."""
+    share = Share("first order", np.array([0.25]), np.array([[0.125, 0.75]]))
+    page = str(bars(Bars("Indices", "share", ["a"], [share])))
+    for name, length in (("array", 0.5), ("arrayminus", 0.125)):
+        (coded,) = re.findall(rf'"{name}":\s*{{[^}}]*"bdata":\s*"([^"]+)"', page)
+        assert np.frombuffer(base64.b64decode(coded), "<f4").tolist() == [length]
 
 
 def test_a_campaign_without_runs_and_without_failures(tmp_path: Path) -> None:

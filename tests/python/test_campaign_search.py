@@ -11,18 +11,22 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 import hexservo as hs
+from hexservo.campaigns import loop_numbers
 from hexservo.campaigns.candidates import Judged, violation_of
 from hexservo.campaigns.loop_numbers import decay_rate, delay_margin
 from hexservo.campaigns.plan import load_plan
 from hexservo.campaigns.search_steps import FORMAT, SearchSteps
 from hexservo.campaigns.strategies import best_candidate, front_of, not_dominated, relax
 from hexservo.findings.analysis import camera_rate
+from hexservo.findings.analysis.camera_margins import Border
+from hexservo.findings.analysis.linear_loop import Clock
 from hexservo.run.publish import OutputError
 from hexservo.scenario.arrays import Array
 from test_campaign_tuning import FILE
@@ -433,6 +437,18 @@ def test_the_delay_margin_is_that_of_the_analysis(factor: float) -> None:
     print(f"{factor}: {expected} s")
     assert delay_margin(changed) == pytest.approx(expected, nan_ok=True, abs=1e-12)
     assert math.isnan(delay_margin(scenario.updated({"controller.law": "hybrid"})))
+
+
+@pytest.mark.parametrize(("own", "margin"), [(10, -20), (30, 70), (40, 60), (120, -20)])
+def test_the_delay_margin_is_negative_below_and_beyond_what_is_stable(
+    monkeypatch: pytest.MonkeyPatch, own: int, margin: int
+) -> None:
+    """Of a loop that is stable with latencies from 30 to 100 ticks of 1 ms."""
+    latency = Border(stable=100, unstable=101, looked_at=500, least=30)
+    scenario = hs.load_scenario("noisy-camera")
+    found = SimpleNamespace(acting=SimpleNamespace(latency=latency), clock=Clock(1, own), scenario=scenario)
+    monkeypatch.setattr(loop_numbers, "_camera_rate", lambda scenario, borders: found)
+    assert delay_margin(scenario) == pytest.approx(margin * scenario.simulation.step)
 
 
 @pytest.mark.parametrize("latency", [pytest.param(each, marks=pytest.mark.slow) for each in (0.0, 0.3, 0.5)] + [0.1])

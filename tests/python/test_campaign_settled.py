@@ -6,10 +6,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pytest
 
 import hexservo as hs
+from hexservo.campaigns.chunks import tally_of
 from hexservo.campaigns.plan import load_plan
+from hexservo.campaigns.requirements import requirement_of
 from hexservo.findings.analysis.scene import scene_of
 
 SHORT = hs.load_scenario("paper").updated({"simulation.duration": 0.02, "metrics.dwell": 0.01})
@@ -62,6 +65,13 @@ def test_a_run_whose_first_sample_alone_is_outside_is_not_settled_at_its_start(t
     assert outside.summary["settled_at_start"] == 0
     assert outside.section().verdict == "good"
     assert not any("metrics.band" in each for each in outside.section().sentences)
+
+
+def test_a_run_that_ends_early_is_not_settled_at_its_start() -> None:
+    numbers = {"settling_time": [0.0, 0.0], "peak_error": [1.0, 1.0], "end_time": [0.1, 1.0], "margin": [-1.0, 1.0]}
+    table = pa.table({"index": [0, 1], "outcome": ["leg_limit", "completed"], **numbers})
+    tally = tally_of(table, range(2), [requirement_of("outcome == completed")], hs.load_scenario("paper"))
+    assert (tally.runs, tally.failures, tally.unmoved) == (2, 1, 1)
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 import hexservo as hs
 from hexservo.findings.certificate.energy import COARSE, EnergyLedger, energy_ledger
 from hexservo.findings.certificate.energy_words import section
+from hexservo.findings.certificate.memory import forgotten
 from hexservo.findings.certificate.replay import Plant, every_step, replay, replay_of
 from hexservo.findings.certificate.stages import doubled_stages_of
 from hexservo.findings.evidence import Curves, Table
@@ -391,6 +392,19 @@ def test_a_pose_law_with_a_prior_closes_though_its_steps_are_rebuilt_without_mem
     ledger = ledger_of(of_poses(name, bandwidth, depth))
     assert ledger.faults == ()
     assert ledger.tolerance < 1e-5 * ledger.turnover
+
+
+def test_a_memory_explains_poses_that_are_apart_by_1e_4_of_the_depth_or_rad() -> None:
+    """And so at most twice K_p times that: of a law with twice the K_p it explains no more."""
+    scenario = of_poses("eye-to-hand", 1.0, 0.1)
+    result = hs.simulate(scenario)
+    twice = 2.0 * np.broadcast_to(scenario.controller.gains.kp, 6)
+    run = replay_of(result, scenario.updated({"controller.pbvs.kp": twice.tolist()}), result.end_time)
+    depth = np.abs(run.depth[1:]).mean(axis=1)
+    most = 2e-4 * twice * np.column_stack([*[depth] * 3, *[np.ones_like(depth)] * 3])
+    found = forgotten(run) / most
+    assert (found <= 1.0 + 1e-12).all()
+    assert found[:, :3].max() == found[:, 3:].max() == pytest.approx(1.0)
 
 
 def test_a_wrench_beyond_what_a_memory_explains_is_flagged() -> None:

@@ -277,6 +277,9 @@ def test_gamma_is_what_the_best_weights_leave(paper: hs.Scenario) -> None:
             assumption.gamma[:, j], found.total[:, j] - found.basis[:, j] @ assumption.ideal[j], atol=1e-13
         )
     np.testing.assert_allclose(assumption.eta, np.abs(assumption.gamma).max(axis=0))
+    largest = np.searchsorted(assumption.time, assumption.instants), range(6)
+    np.testing.assert_array_equal(np.abs(assumption.gamma[largest]), assumption.eta)
+    assert (assumption.gamma[largest] < 0.0).any()
     assert (assumption.lower_bound <= assumption.eta).all()
     assert (assumption.eta <= assumption.lower_bound * (1 + 1e-5) + 1e-9 * assumption.largest).all()
     assert (assumption.eta < assumption.largest).all()
@@ -429,6 +432,8 @@ def test_a_difference_is_put_down_to_the_version_or_to_rounding_where_it_may_be(
     rounded = hs.certify(replace(result, twist=result.twist * (1 + 1e-14)))
     assert "another compiled variant made the result" in rounded.remark
     assert rounded.sections()[2].verdict == "good"
+    pixels = result.feature_error * (1 + 2e-10)  # by more than 1e-9 px, but of 20 px
+    assert "another compiled variant made the result" in hs.certify(replace(result, feature_error=pixels)).remark
 
 
 def test_an_interrupted_run_is_compared_up_to_its_end(paper: hs.Scenario) -> None:

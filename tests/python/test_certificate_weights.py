@@ -267,7 +267,7 @@ def test_a_solver_that_gives_up_leaves_bounds_of_the_smallest_error(
     target = np.cos(4 * basis[:, 0]) + 0.3 * np.sin(np.linspace(0, 40, 3000))
     exact = by_primal(basis, target, LIMIT * float(np.abs(target).max()))
     widths = []
-    for after in range(4):
+    for after in range(8):  # 5 and 6 leave 5e-4 of the error open, 7 rounding
         giving_up(monkeypatch, after)
         best = best_weights(basis, target, smallest=smallest)
         monkeypatch.undo()
@@ -279,3 +279,4 @@ def test_a_solver_that_gives_up_leaves_bounds_of_the_smallest_error(
     assert widths == sorted(widths, reverse=True)
     assert widths[0] == pytest.approx(float(np.abs(target).max()), rel=1e-5)  # nothing is known: no weights, no bound
     assert 0 < widths[1] < 0.9 * widths[0]
+    assert best.solved

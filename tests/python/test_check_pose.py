@@ -239,6 +239,10 @@ def test_a_target_that_is_far_too_large_is_named(target: dict[str, Any], named: 
     with pytest.raises(hs.ScenarioError, match=named) as caught:
         typed(target, [3e-3, -2e-3, 2e-3, -0.01, -0.01, 0.02])
     assert "89.5 deg off" in str(caught.value) or "89.6 deg off" in str(caught.value)
+    opencv = {"axes": "opencv", "mount": {"rotation": [math.pi, 0.0, 0.0]}}  # which look along z, as it does
+    with pytest.raises(hs.ScenarioError) as also:
+        typed(target, [3e-3, -2e-3, 2e-3, -0.01, -0.01, 0.02], opencv)
+    assert str(also.value) == str(caught.value)
 
 
 def test_a_pose_that_looks_away_is_named() -> None:
@@ -247,7 +251,7 @@ def test_a_pose_that_looks_away_is_named() -> None:
         typed(tag, [0.0, 0.0, 0.0, 1.56, 0.0, 0.0])
 
 
-def typed(target: dict[str, Any], goal: list[float]) -> hs.Scenario:
+def typed(target: dict[str, Any], goal: list[float], camera: dict[str, Any] | None = None) -> hs.Scenario:
     document = {
         "name": "typed",
         "description": "A machine and its target",
@@ -262,6 +266,7 @@ def typed(target: dict[str, Any], goal: list[float]) -> hs.Scenario:
             "inertia": [0.0125, 0.0125, 0.025],
             "force_limit": 49.0,
         },
+        "camera": camera or {},
         "target": {**target, "desired_pose": goal},
     }
     return hs.Scenario.from_mapping(document)

@@ -464,6 +464,9 @@ def test_rotary_legs_settle_by_their_defaults(tmp_path: Path) -> None:
     hexapod = _core.Hexapod(core_parameters(scenario).robot)
     np.testing.assert_allclose(hexapod.home_lengths, 0.0, atol=2e-3)
     np.testing.assert_allclose(np.asarray(robot.cranks.axes) @ [0, 0, 1], 0.0, atol=1e-12)
+    centres = np.array(hexapod.base_joints)
+    from_other = centres - centres[[1, 0, 3, 2, 5, 4]]
+    assert ((np.asarray(robot.cranks.zero) * from_other).sum(axis=1) > 0.0).all()
     np.testing.assert_allclose(robot.stroke, np.deg2rad(40), rtol=1e-8)
     result = hs.simulate(scenario)
     assert result.outcome == "completed"

@@ -23,6 +23,7 @@ from typer.testing import CliRunner
 
 import hexservo as hs
 from hexservo.cli.commands import app
+from hexservo.draw.compare import _thinned
 from hexservo.draw.style import our_style
 from hexservo.run import compare
 from hexservo.run.comparison import COLUMNS, column_texts
@@ -235,6 +236,7 @@ def test_ctrl_c_keeps_what_is_finished(monkeypatch: pytest.MonkeyPatch) -> None:
     assert compared.finished == 1
     assert [row.outcome for row in compared.rows] == ["completed", "interrupted"]
     assert compared.row("hybrid", "paper").why == "not begun"
+    assert [row["settled"] for row in csv.DictReader(io.StringIO(compared.to_csv()))] == ["no", ""]
     compared.figure()
 
 
@@ -445,6 +447,17 @@ def test_the_figure_shows_every_run(comparison: hs.Comparison) -> None:
     drawn_errors = np.asarray(line.get_ydata())
     assert drawn_errors[-1] == row.error[-1]
     assert drawn_errors.max() == row.error[row.time >= 0.01].max()
+
+
+def test_a_curve_of_few_points_keeps_its_peaks() -> None:
+    """Of 20000 samples, of which 300 are drawn: one that is ten times as large as the others about it."""
+    time, error = np.linspace(0.0, 10.0, 20_001), np.ones(20_001)
+    error[13_337], error[-1] = 10.0, 0.5
+    drawn, values = _thinned(time, error, 1e-2, 10.0)
+    assert len(drawn) < 310
+    assert values.max() == 10.0
+    assert drawn[values.argmax()] == time[13_337]
+    assert (drawn[-1], values[-1]) == (10.0, 0.5)
 
 
 def test_names_are_drawn_as_they_are_written(paper: hs.Scenario) -> None:

@@ -260,6 +260,20 @@ def test_ticks_without_a_time_are_whole_periods_after_the_last_one_that_was_give
     assert controller.step(**given, exposure=1.5 * controller.period).status == "unusable"
 
 
+def test_a_frame_without_a_time_is_exposed_at_its_tick() -> None:
+    """Of a platform that moves: an image from another time would be carried on from where the platform was then."""
+    scenario = hs.load_scenario("slow-camera")
+    given, moving = good_input(scenario), np.array([1e-4, 0.0, 0.0])
+    one, other = hs.Controller(scenario), hs.Controller(scenario)
+    wrenches = []
+    for tick in range(5):
+        seen = {**given, "position": given["position"] + tick * moving}
+        now = tick * other.period
+        wrenches.append(one.step(**seen).wrench)
+        np.testing.assert_array_equal(wrenches[-1], other.step(**seen, now=now, exposure=now).wrench)
+    assert len(np.unique(wrenches, axis=0)) > 1
+
+
 @pytest.mark.parametrize("prediction", ["none", "encoder"])
 def test_a_frame_that_is_older_than_the_kept_poses_is_not_used(paper: hs.Scenario, prediction: str) -> None:
     """Where points are predicted; such a frame, as one that is older than the newest, changes nothing."""

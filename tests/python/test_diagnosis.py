@@ -45,6 +45,7 @@ from hexservo.findings.diagnosis.gains import slower
 from hexservo.findings.diagnosis.goal import goal_of, pixels_per_metre, seen_from_home, spread_target
 from hexservo.findings.diagnosis.model import Case, Removal
 from hexservo.findings.diagnosis.ranking import Study, controls, judged, make_cases, pairs, rank, study
+from hexservo.findings.diagnosis.remedies import rounded_up
 from hexservo.findings.diagnosis.runs import Run, displacements_in_base, record_of, run_all
 from hexservo.findings.diagnosis.words import ends, misses, warnings_of
 from hexservo.findings.evidence import Curves, Table
@@ -869,6 +870,20 @@ def test_the_camera_without_delay_loses_frames_as_before() -> None:
     assert lost / (1.0 - lost) * scenario.simulation.step == pytest.approx(0.33 / 0.67 * frame_period(scenario))
 
 
+def test_one_unusual_entry_of_a_gain_makes_it_unusual() -> None:
+    scenario = hs.load_scenario("paper-nominal").updated({"controller.law": "composite"})
+    assert "controller.composite.kt" not in unusual(scenario)
+    kt = np.array(scenario.controller.composite.kt)
+    for factor, expected in ((1.4, False), (1.6, True)):
+        changed = scenario.updated({"controller.composite.kt": (kt * [1, 1, factor, 1, 1, 1]).tolist()})
+        assert ("controller.composite.kt" in unusual(changed)) == expected
+
+
+def test_a_remedy_is_rounded_to_two_digits_and_never_down() -> None:
+    for needed, given in ((1.01, 1.1), (12.3, 13.0), (0.0451, 0.046), (980.0, 980.0), (991.0, 1000.0)):
+        assert rounded_up(needed) == pytest.approx(given, rel=1e-12)
+
+
 def test_the_weighed_platform_is_the_same_platform() -> None:
     """The remedy against a wrong weight changes the law's estimate, and not the plant."""
     scenario = hs.load_scenario("fails-gravity")
@@ -1063,7 +1078,7 @@ def test_signatures_detect_the_patterns_they_describe() -> None:
 @pytest.mark.parametrize(
     ("dropout", "expected"),
     [
-        (0.5, "Frames arrive every 0.066 s on average, instead of every 0.033 s."),
+        (0.8, "Frames arrive every 0.165 s on average, instead of every 0.033 s."),
         (1.0, "No frame arrives, instead of one every 0.033 s."),
     ],
 )

@@ -20,6 +20,7 @@ from hexservo.findings.identification.drives_words import with_interval
 from hexservo.findings.identification.frames import CameraFit, fit_camera
 from hexservo.findings.identification.interval import Interval
 from hexservo.findings.identification.log import Log
+from hexservo.findings.identification.one_drive import mean_of
 from recorded_machines import Drive, record, wandering
 from test_identification import METRES, SEED, seen_log, try_delays
 from test_identified_camera import drives_of_seen_log
@@ -158,6 +159,16 @@ def test_best_fits_that_agree_stand_for_what_no_leg_determines_by_itself(
     ):
         assert "actuators.position.bandwidth" not in changes_of(log, paper, unlike, None)
         assert any("are left as they are" in sentence for sentence in unlike.section().sentences)
+
+
+def test_one_value_of_all_legs_is_that_of_those_that_know_it() -> None:
+    """Each counts by the inverse of its variance: three that know 1 to a factor of 2, and one 2 to 1 %."""
+    legs = [Interval(1.0, 0.5, 2.0)] * 3 + [Interval(2.0, 2.0 / 1.01, 2.0 * 1.01)]
+    weights = np.array([3.0 / np.log(2.0) ** 2, 1.0 / np.log(1.01) ** 2])
+    expected = np.exp(weights[1] * np.log(2.0) / weights.sum())
+    assert mean_of(legs) == pytest.approx(expected, rel=1e-12)
+    assert expected == pytest.approx(2.0, rel=1e-3)
+    assert mean_of([*legs[:3], None]) is None
 
 
 def test_no_key_is_taken_from_legs_of_which_little_is_predicted(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -66,6 +67,12 @@ def test_the_end_has_one_time(name: str) -> None:
     assert any(f"after {result.stop_time:.4g} s" in text for text in written)
     assert any(f"at t = {result.stop_time:.4g} s" in sentence for sentence in summary_sentences(result))
     assert record_of(result).stop_time == result.stop_time
+
+
+def test_no_run_ends_after_its_duration() -> None:
+    """A metric that overflows at the last sample makes it one that diverged, without a step beyond."""
+    completed = hs.simulate(ends_as("completed"))
+    assert replace(completed, outcome="diverged").stop_time == completed.end_time
 
 
 def test_a_run_that_is_not_at_its_end_has_the_time_of_its_last_sample() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,26 @@ def test_the_distance_is_from_the_pose_that_was_asked_for() -> None:
     assert found.shift == pytest.approx(np.linalg.norm(shift), rel=1e-6)
     assert found.angle == pytest.approx(turn.magnitude(), rel=1e-6)
     assert found.shift > 1e-3
+
+
+def test_of_two_poses_with_the_goal_image_the_nearer_by_depths_and_radians_is_meant(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """0.1 m at a depth of 0.5 m is as far as 0.2 rad, and farther than 0.15 rad."""
+    result = hs.simulate(hs.load_scenario("paper").updated(SHORT))
+    depth = float(np.abs(result.depth[-1]).mean())
+    assert depth == pytest.approx(0.5, rel=0.02)
+    here = Rotation.from_quat(result.quaternion[-1], scalar_first=True)
+    position = result.position[-1] + np.array([[0.1, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    attitude = [here, Rotation.from_rotvec([0.15, 0.0, 0.0]) * here]
+    quaternion = np.stack([one.as_quat(scalar_first=True) for one in attitude])
+    images = np.tile(result.scenario.target.desired_features, (2, 1))
+    minima = SimpleNamespace(goal_minima=lambda: (position, quaternion), image=lambda *_: (images, None))
+    monkeypatch.setattr("hexservo.run.goal_distance.probe", lambda _: minima)
+    found = goal_distance(result)
+    assert found is not None
+    assert found.shift == 0.0
+    assert found.angle == pytest.approx(0.15)
 
 
 def test_a_law_without_prior_reaches_it() -> None:

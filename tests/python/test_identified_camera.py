@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
+from scipy.signal import lfilter
 from scipy.stats import binom
 
 import hexservo as hs
@@ -27,7 +28,7 @@ from hexservo.findings.identification.frames_noise import (
     spline_shares,
 )
 from hexservo.findings.identification.frames_repeated import repeats
-from hexservo.findings.identification.interval import Interval, deviations, robust_deviations
+from hexservo.findings.identification.interval import Interval, correlated, deviations, robust_deviations
 from hexservo.findings.identification.log import Frames, Log, joint_deviations
 from recorded_machines import Drive, record, see
 from test_identification import METRES, SEED, commands_of, seen_log, within
@@ -96,6 +97,17 @@ def test_a_slow_beat_of_ticks_and_frames_is_within_the_interval(jitter: float) -
     assert hits >= least_of(count)
 
 
+def test_the_period_of_frames_whose_lateness_wanders_is_within_the_interval() -> None:
+    """Lateness that is alike over some ten frames, as of a loaded bus: so many frames are worth one of white jitter."""
+    random, hits, count = np.random.default_rng(SEED), 0, 60
+    for _ in range(count):
+        late = lfilter([1.0], [1.0, -0.8], random.normal(0.0, 3e-4, 600))
+        found = clock(PERIOD * np.arange(600) + late)
+        assert found is not None
+        hits += within(found[0], PERIOD)
+    assert hits >= least_of(count)  # 25 if residuals counted as white
+
+
 @pytest.mark.parametrize("whole", [1, 2, 3])
 def test_a_period_of_whole_ticks_is_known_to_a_tick_in_the_time_of_all_frames(whole: int) -> None:
     """Frames at every tick, or every second or third: their times have no scatter, and no step below their period."""
@@ -134,6 +146,15 @@ def test_the_noise_is_what_the_law_tracking_assumes(paper: hs.Scenario) -> None:
     assert of_law(tracking, {"camera.noise": 1.1}) == {"controller.tracking.noise": 1.1}
     assert of_law(tracking, {"camera.noise": 0.0}) == of_law(tracking, {}) == {}
     assert of_law(paper, {"camera.noise": 1.1}) == {}
+
+
+def test_residuals_are_correlated_over_the_time_of_their_process() -> None:
+    """(1 + r)/(1 - r) samples where one has r of the one before; white ones over one, in 95 of 100 records."""
+    random = np.random.default_rng(SEED)
+    assert sum(correlated(random.normal(size=1000)) == 1.0 for _ in range(100)) >= 85
+    for r in (0.5, 0.8):
+        found = [correlated(lfilter([1.0], [1.0, -r], random.normal(size=4000))) for _ in range(20)]
+        assert np.mean(found) == pytest.approx((1.0 + r) / (1.0 - r), rel=0.15)
 
 
 def test_robust_deviations_are_those_of_repeated_fits() -> None:
@@ -323,6 +344,31 @@ def test_the_noise_of_joints_is_neither_noise_nor_jitter_of_the_camera(jitter: f
     assert blamed.jitter is not None
 
 
+def test_a_fitted_target_takes_six_of_the_residuals() -> None:
+    """Of five frames that scatter by 0.3 px about a target whose displacement is fitted to them."""
+    random, found = np.random.default_rng(SEED), []
+    for _ in range(400):
+        by_target = np.linalg.qr(random.normal(size=(40, 6)))[0]
+        left = random.normal(0.0, 0.3, 40)
+        left = (left - by_target @ (by_target.T @ left)).reshape(5, 8)
+        speed = random.normal(0.0, 100.0, (5, 8))
+        found.append(scatter_of(left, speed, np.zeros((5, 8, 6)), 1.0).noise.value)
+    variance, across = float(np.mean(np.square(found))), 40 - 5 - 6
+    overlap = 6 * 5 / 40  # of the target's numbers, along the motion
+    assert variance == pytest.approx(0.3**2 * (1 + overlap / across), rel=4 * np.sqrt(2 / (400 * across)))
+
+
+def test_jitter_is_the_whole_width_of_uniform_latencies(paper: hs.Scenario) -> None:
+    """Also of the share at either end that is left out of it: of latencies spread evenly over 20 ms, 20 ms."""
+    log = seen_log(paper, 0.05, stamps=0.0)
+    assert log.frames is not None
+    assert log.frames.exposure is not None
+    late = np.random.default_rng(SEED).permutation(np.linspace(0.0, 0.02, len(log.frames.arrival)))
+    frames = replace(log.frames, arrival=log.frames.exposure + 0.05 + late)
+    camera = fit_camera(replace(log, frames=frames), Scene(paper))
+    assert camera.jitter == pytest.approx(0.02, rel=1e-6)
+
+
 def test_the_noise_of_joints_does_not_move_the_latency(paper: hs.Scenario) -> None:
     """Of frames that are all taken at a quarter of a tick, where the spline has more noise than between two."""
     log = seen_log(paper, 0.05, stamps=None)
@@ -344,7 +390,16 @@ def test_a_shift_of_noisy_readings_is_known_less_well() -> None:
     slopes = np.array([[3.0, 0.0], [4.0, 0.0], [7.0, 1.0]])
     assert overstated(slopes, 0.0) == pytest.approx(1.0)
     assert overstated(slopes, 5.0) == pytest.approx(25.0 / 20.0)
+    assert overstated(slopes, 21.0) == np.inf  # as noise of 25 may be
     assert overstated(slopes, 25.0) == np.inf
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_noise_of_joints_at_rest_does_not_tell_the_latency(paper: hs.Scenario, seed: int) -> None:
+    """Their spline moves, by noise alone: least squares took it for a motion, and stated 53.4 +- 1.2 ms or 155 ms."""
+    log = seen_log(paper, 0.05, stamps=None, moving=False, seed=seed)
+    noisy = log.joints + np.random.default_rng(seed).normal(0.0, 5e-5, log.joints.shape)
+    assert not fit_camera(replace(log, joints=noisy), Scene(paper)).latency_is_known
 
 
 def test_an_image_moves_a_shift_as_least_squares_does() -> None:
@@ -484,6 +539,20 @@ def test_an_exact_image_at_rest_does_not_repeat_while_the_joints_have_noise(pape
     assert fit_camera(rests, Scene(paper)).repeated == 0
 
 
+def test_an_exact_image_that_rests_for_a_while_does_not_repeat_either(paper: hs.Scenario) -> None:
+    """It moves before and after: without noise of the joints, which is no motion, it would be seen to rest."""
+    log = seen_log(paper, 0.05, stamps=None, noise=0.0)
+    assert log.frames is not None
+    begin, end = log.time[-1] / 3.0, 2.0 * log.time[-1] / 3.0
+    rest, equal = ((one > begin) & (one < end) for one in (log.time, log.frames.arrival))
+    joints, features = log.joints.copy(), log.frames.features.copy()
+    joints[rest] = joints[rest][0] + 1e-6 * np.random.default_rng(3).normal(size=joints[rest].shape)
+    features[equal] = features[equal][0]
+    rests = replace(log, joints=joints, frames=replace(log.frames, features=features))
+    assert rests.frames is not None
+    assert not repeats(rests, rests.frames).any()
+
+
 @pytest.mark.parametrize(("noise", "step"), [(0.0, 1e-6), (0.0, 0.1)])
 def test_images_that_are_equal_at_a_long_rest_count(paper: hs.Scenario, noise: float, step: float) -> None:
     """They are rounded to `step` [px], 1e-6 as of a camera without noise, and the joints are noisy."""
@@ -541,6 +610,8 @@ def test_the_rounding_of_resting_joints_is_no_noise_of_the_camera(paper: hs.Scen
     white = joint_deviations(log.joints)
     added = rounding_deviations(log.joints, white)
     np.testing.assert_allclose(np.hypot(white, added), step / np.sqrt(12.0), rtol=1e-6)
+    half = np.full(6, step / np.sqrt(24.0))  # of the variance, which differences of readings in motion have
+    np.testing.assert_allclose(rounding_deviations(log.joints, half), half, rtol=1e-6)
     assert (rounding_deviations(fine.joints, white) < 1e-9).all()
     camera = fit_camera(log, Scene(paper))
     assert 0.05 < camera.of_joints < 0.5

@@ -64,6 +64,14 @@ def test_drives_that_predict_no_reading_that_is_left_out_do_not_count(
     np.testing.assert_array_equal(found(times), JointMotion.of(log)(times))
 
 
+def test_joints_stay_at_their_last_reading() -> None:
+    """After which a driver may have repeated it; a cubic of the readings before would go on."""
+    time: Array = PERIOD * np.arange(20.0)
+    readings = np.tile(time**2, (6, 1)).T
+    motion = JointMotion(time, readings, None, CubicSpline(time, readings))
+    np.testing.assert_allclose(motion(time[-1] + np.array([0.0, PERIOD, 3.0 * PERIOD])), np.tile(readings[-1], (3, 1)))
+
+
 def test_joints_pass_through_readings_at_uneven_ticks(moved: tuple[Log, Drives, Array, Array]) -> None:
     """Off their places by up to 4.5 % of the period, as a log may have them."""
     log, drives, times, joints = moved

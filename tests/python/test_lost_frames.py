@@ -11,7 +11,7 @@ import pytest
 import hexservo as hs
 from hexservo.findings.analysis import camera_rate, drift
 from hexservo.findings.check import unlikely
-from hexservo.scenario.parameters import image_age
+from hexservo.scenario.parameters import image_age, oldest_image, timeout_room
 
 
 def with_camera(name: str, **camera: Any) -> hs.Scenario:
@@ -54,6 +54,27 @@ def test_the_mean_age_is_the_sum_over_the_frames_that_may_be_lost(dropout: float
     assert image_age(scenario) == pytest.approx(mean, rel=0.02)  # a part of a frame at the timeout is not exact
     if timeout is None:
         assert image_age(scenario) == pytest.approx(mean, rel=1e-9)
+
+
+@pytest.mark.parametrize("frames", [2, 4])
+def test_the_mean_age_is_exact_where_the_timeout_is_a_whole_number_of_frames(frames: int) -> None:
+    """An image is used at its last tick, whose age is the timeout: of f frames of 66 ticks, 65 after its arrival."""
+    ticks = 66 + 66 * frames - 1
+    scenario = with_camera("slow-camera", dropout=0.5, timeout=round(0.001 * ticks, 9))
+    ages = np.arange(66, ticks + 1)  # [ticks], of the newest image
+    mean = 0.001 * np.average(ages, weights=0.5 ** ((ages - 66) // 66))
+    assert image_age(scenario) == pytest.approx(mean, rel=1e-9)
+
+
+@pytest.mark.parametrize("late", [-0.02, 0.0, 0.02])
+@pytest.mark.parametrize("name", ["slow-camera", "pi-h824-positions"])
+def test_the_oldest_image_is_that_of_the_shortest_timeout(name: str, late: float) -> None:
+    """Which the core takes; exposure times that are late or early, and readings of the joints, are a part of it."""
+    scenario = hs.load_scenario(name).updated({"camera.timeout": None, "uncertainty.latency": late})
+    shortest, step = oldest_image(scenario), scenario.simulation.step
+    assert timeout_room(scenario.updated({"camera.timeout": round(shortest * step, 9)})) == 0
+    with pytest.raises(hs.ScenarioError, match=r"camera\.timeout: expected at least"):
+        scenario.updated({"camera.timeout": round((shortest - 1) * step, 9)})
 
 
 def test_the_age_has_no_wait_where_no_frame_or_every_frame_is_lost() -> None:

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 import hexservo as hs
 from hexservo import _core
+from hexservo.scenario.motion import displacements_of
 from hexservo.scenario.parameters import core_parameters
 
 Array = NDArray[np.float64]
@@ -456,6 +457,15 @@ def test_targets_move_as_they_are_told(sampled: hs.Scenario, tmp_path: Path) -> 
         expected = seen_by(result, lambda t, way_at=way_at, points=points: points + way_at(t))  # type: ignore[misc]
         desired = np.array(scenario.target.desired_features)
         np.testing.assert_allclose(result.feature_error, desired - expected, rtol=0, atol=1e-9)
+
+
+def test_displacements_in_python_are_those_of_the_core(sampled: hs.Scenario) -> None:
+    motion = {"kind": "sinusoid", "amplitude": [0.01, 0.0, -0.02], "frequency": 2.0, "phase": 0.3}
+    scenario = sampled.updated({"target.motion": motion})
+    result, points = hs.simulate(scenario), points_of(scenario)
+    expected = seen_by(result, lambda t: points + displacements_of(scenario.target.motion, np.array([t])))
+    desired = np.array(scenario.target.desired_features)
+    np.testing.assert_allclose(result.feature_error, desired - expected, rtol=0, atol=1e-9)
 
 
 def test_a_road_that_would_roll_the_vehicle_over_is_refused(sampled: hs.Scenario) -> None:

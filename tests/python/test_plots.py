@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import re
 import subprocess
 import sys
@@ -20,6 +21,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 import hexservo as hs
 from hexservo import plots as public
@@ -31,7 +33,15 @@ from hexservo.draw.wrench import control_wrench
 from hexservo.report.figures import figures
 from hexservo.run.files import MARKER
 from hexservo.run.publish import OutputError
-from hexservo.run.samples import initial_direction, rotation_vectors
+from hexservo.run.samples import (
+    axis_range,
+    image_views,
+    initial_direction,
+    parts,
+    rotation_vectors,
+    turns_from_home,
+)
+from hexservo.scenario.rotations import quaternions_of_matrices
 
 Array = NDArray[np.float64]
 
@@ -511,6 +521,50 @@ def test_paths_in_a_small_part_of_the_image_are_magnified_beside_it() -> None:
             assert result.features.reshape(-1, 4, 2)[..., corner].max() < high
 
 
+def test_axes_have_a_margin_around_all_values() -> None:
+    for values in (np.array([-3.0, 5.0]), np.array([7.0]), np.array([0.0, 1e-9])):
+        low, high = axis_range(values)
+        assert low < values.min()
+        assert values.max() < high
+
+
+@pytest.mark.parametrize(("settled", "split"), [(0.1, 0.2), (0.3, 0.6), (0.6, 0.8), (0.9, 0.95), (math.nan, None)])
+def test_a_run_is_split_where_it_has_rested_as_long_again_or_half_of_what_is_left(
+    paper: hs.Result, settled: float, split: float | None
+) -> None:
+    """Of 1 s; both parts have the sample of the split, rounded to a digit where that is after it has settled."""
+    run = first(paper, 1001)
+    found = parts(replace(run, streamed_metrics={**run.streamed_metrics, "settling_time": settled}))
+    if split is None:
+        assert found == [slice(0, 1001)]
+    else:
+        (before, after) = found
+        assert (before.start, before.stop - 1, after.stop) == (0, after.start, 1001)
+        assert run.time[after.start] == pytest.approx(split, abs=0.051)
+        assert settled < run.time[after.start] < 1.0
+
+
+def test_a_turn_from_a_home_that_is_turned_is_in_b() -> None:
+    home, turn = [0.02, -0.03, 0.3], np.array([0.4, 0.0, 0.0])
+    result = run(**{"robot.home_attitude": home, "simulation.duration": 0.01})
+    attitude = (Rotation.from_rotvec(turn) * Rotation.from_rotvec(home)).as_quat()[None, [3, 0, 1, 2]]
+    np.testing.assert_allclose(turns_from_home(result, attitude), turn[None], atol=1e-15)
+
+
+def test_a_magnified_view_has_the_whole_of_narrow_paths() -> None:
+    changes = {"camera.image_size": [900, 900], "simulation.mode": "sampled", "simulation.duration": 0.3}
+    corners = np.array([[30, 5], [30, -5], [-30, -5], [-30, 5]])
+    target = {
+        "target.initial_features": corners.ravel(),
+        "target.desired_features": (corners + np.array([2, 0])).ravel(),
+    }
+    result = run(**changes, **target)
+    _, magnified = image_views(result)
+    places = result.features.reshape(-1, 2)
+    assert (np.array(magnified.limits)[:, 0] < places.min(axis=0)).all()
+    assert (places.max(axis=0) < np.array(magnified.limits)[:, 1]).all()
+
+
 def test_paths_that_leave_the_image_stay_within_the_axes() -> None:
     result = run(**{"camera.image_size": [140, 160], "simulation.mode": "sampled", "controller.jacobian": "printed"})
     (axes,) = plots.feature_paths(result).axes
@@ -645,6 +699,14 @@ def test_rotation_vector_of_a_known_turn(angle: float, scale: float) -> None:
     if angle == np.pi and vector @ AXIS < 0:  # half a turn either way is the same
         vector = -vector
     np.testing.assert_allclose(vector, angle * AXIS, rtol=4e-16 * 8, atol=0)
+
+
+def test_quaternions_of_matrices_are_those_of_scipy() -> None:
+    """Of random attitudes, and of half turns, whose scalar part is zero, about each axis."""
+    halves = Rotation.from_rotvec(np.pi * np.vstack([np.eye(3), np.ones(3) / np.sqrt(3.0)]))
+    attitudes = Rotation.concatenate([Rotation.random(50, rng=np.random.default_rng(SEED)), halves])
+    found = Rotation.from_quat(quaternions_of_matrices(attitudes.as_matrix()), scalar_first=True)
+    np.testing.assert_allclose((found * attitudes.inv()).magnitude(), 0.0, atol=1e-7)
 
 
 def test_rotation_vector_takes_the_shorter_way() -> None:

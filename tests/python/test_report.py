@@ -44,7 +44,7 @@ from hexservo.run.samples import parts
 from hexservo.run.summary import summary_sentences
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.pixels import to_pixels
-from hexservo.scenario.wording import apart, joules, number, percent_above, percent_below, percent_used
+from hexservo.scenario.wording import apart, joules, number, percent_above, percent_below, percent_used, quantity
 from test_leg_limits import METRICS as OF_LIMITS
 
 if TYPE_CHECKING:
@@ -523,6 +523,11 @@ def test_a_value_is_not_written_as_the_limit_from_which_it_differs() -> None:
     assert used == ["0%", "70%", "99%", "more than 99%", "100%", "more than 100%", "130%"]
 
 
+def test_a_number_reads_alike_whatever_its_sign_and_a_unit_has_a_whole_one() -> None:
+    assert [number(value) for value in (28_800.0, -28_800.0)] == ["28800", "-28800"]
+    assert [quantity(value, "m") for value in (1.0, 1e-3, -1e-3)] == ["1 m", "1 mm", "-1 mm"]
+
+
 def test_the_summary_begins_with_the_worst_finding(monkeypatch: pytest.MonkeyPatch, result: hs.Result) -> None:
     verdicts: tuple[Literal["open", "good", "bad", "warning"], ...] = ("open", "good", "bad", "warning", "bad")
     sections = [Section(f"s{place}", f"Title {place}", ["Words."], verdict=v) for place, v in enumerate(verdicts)]
@@ -558,6 +563,8 @@ def test_what_a_sentence_has_between_backticks_is_code() -> None:
 def test_a_limit_that_is_far_exceeded_is_a_multiple(result: hs.Result) -> None:
     for force, words in (
         (0.5, "50% of it is left"),
+        (0.8049, "19% of it is left"),
+        (1.0, "0% of it is left"),
         (1.5, "that is 50% too much"),
         (1747.0, "that is 1750 times as much"),
         (1 - 1e-6, "is 0.999999 N of the 1 N allowed; less than 1% of it is left"),

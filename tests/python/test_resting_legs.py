@@ -9,7 +9,7 @@ from scipy.linalg import expm
 
 from hexservo.findings.identification.drives import fit_drives
 from hexservo.findings.identification.log import Log
-from hexservo.findings.identification.rests import find_rests
+from hexservo.findings.identification.rests import find_rests, with_friction
 from hexservo.scenario.leg_units import LegUnits
 from recorded_machines import Drive, wandering
 
@@ -110,6 +110,20 @@ def test_legs_without_friction_rest_on_their_commands() -> None:
         assert rests.farthest <= resolution
     print(f"{sum(hits)} of {len(hits)} intervals contain 0")
     assert np.mean(hits) >= 0.9
+
+
+def test_a_leg_that_still_creeps_shows_no_friction() -> None:
+    """A lag of 90 ms and jumps each second: exp(-t/tau) is left of each, on the side that the leg comes from."""
+    commands = np.tile(np.repeat([0.0, 1e-3], 100), 8)
+    joints = np.zeros(len(commands))
+    for tick in range(1, len(commands)):
+        joints[tick] = commands[tick - 1] + (joints[tick - 1] - commands[tick - 1]) * np.exp(-PERIOD / 0.09)
+    rests = find_rests(commands, joints)
+    assert rests is not None
+    left = 1e-3 * np.exp(-np.arange(75, 100) * PERIOD / 0.09).mean()  # in the last quarter
+    assert rests.short.value == pytest.approx(left, rel=1e-3)
+    assert rests.short.low < 0.0
+    assert (with_friction(commands, joints, rests) == commands).all()
 
 
 def test_a_log_without_rests_does_not_show_friction() -> None:

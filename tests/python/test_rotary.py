@@ -23,6 +23,7 @@ from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.analysis.workspace import reach
 from hexservo.findings.check import unlikely
 from hexservo.run.export import gains_header
+from hexservo.scenario.leg_units import stroke_length
 from rotary_machine import (
     AXES,
     BRANCH,
@@ -78,6 +79,11 @@ def test_cranks_and_rods_close(legs: _core.Hexapod) -> None:
         np.testing.assert_allclose(np.linalg.norm(legs.leg_feet(*pose) - CENTRES, axis=1), CRANK, rtol=1e-12)
         maps = np.vstack([unit.T, np.cross(turn.apply(JOINTS), unit).T]) / arm  # H W^-1
         np.testing.assert_allclose(legs.wrench_map(*pose), maps, rtol=0, atol=1e-9 / 0.03)
+
+
+def test_the_stroke_of_a_crank_moves_its_end_along_a_circle(head: hs.Scenario) -> None:
+    chord = 2.0 * CRANK * math.sin(head.robot.stroke / 2.0)
+    assert stroke_length(head.robot) == pytest.approx(chord, rel=0.05)  # of angles below 1 rad
 
 
 def test_rates_are_the_derivatives_of_the_angles(legs: _core.Hexapod) -> None:

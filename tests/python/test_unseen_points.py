@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from hexservo.cli.output import write_results
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check import unlikely
 from hexservo.run.summary import summary_sentences
-from hexservo.run.unseen_points import edge_on_time, unseen_points
+from hexservo.run.unseen_points import edge_on_time, unseen_points, unseen_sentence
 from hexservo.scenario.plane import side_of_plane, triangle_of_plane
 
 SAMPLED = {"simulation.mode": "sampled", "camera.image_size": [640.0, 360.0], "controller.switching.kind": "implicit"}
@@ -203,6 +204,48 @@ def test_a_start_behind_a_tag_or_a_grid_is_refused(kind: str) -> None:
         hs.load_scenario("textbook-tilt").updated(changes)
     changes["simulation.start.pose"] = [0.1, 0.0, 0.1, 0.0, 0.2, 0.0]
     hs.load_scenario("textbook-tilt").updated(changes)
+
+
+@pytest.mark.parametrize(("turn", "seen"), [(-0.9, True), (0.9, False)])
+def test_a_tag_on_a_platform_that_turns_it_to_a_camera_on_the_base_is_seen(turn: float, seen: bool) -> None:
+    """Tilted by 0.9 rad at home, and turned back or on, to 1.8 rad, with its back to the camera."""
+    watched = hs.load_scenario("eye-to-hand")
+    way = np.array(watched.camera.mount.position) - watched.robot.home_position
+    across = np.cross(way, [0.0, 0.0, 1.0]) if np.hypot(*way[:2]) > 1e-9 else np.array([1.0, 0.0, 0.0])
+    across /= np.linalg.norm(across)
+    facing = Rotation.align_vectors([way, across], [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])[0]
+    on_platform = Rotation.from_rotvec(watched.robot.home_attitude).inv() * Rotation.from_rotvec(0.9 * across) * facing
+    tag = {"size": 0.05, "pose": [0.0, 0.0, 0.0, *on_platform.as_rotvec()]}
+    others = dict.fromkeys(("initial_features", "depth", "points", "desired_features"))
+    target = {**others, "tag": tag, "desired_pose": [0.0] * 6}
+    changes = {"target": target, "simulation.start.pose": [0.0, 0.0, 0.0, *(turn * across)]}
+    if seen:
+        watched.updated(changes)
+    else:
+        with pytest.raises(ValueError, match=r"the camera at simulation\.start\.pose, got one with its back to it"):
+            watched.updated(changes)
+
+
+def test_a_point_is_outside_from_each_sample_until_the_next(half_turn: hs.Scenario) -> None:
+    """At the first three of five samples, 0.1 s apart: for 0.3 s; from the last one on nothing is known."""
+    run = hs.simulate(half_turn.updated({"simulation.duration": 0.4, "simulation.log_every": 100}))
+    errors = np.zeros_like(run.feature_error)
+    desired = np.array(half_turn.target.desired_features)
+    for rows, total in ((slice(0, 3), 0.3), (slice(4, 5), 0.0)):
+        errors[:] = 0.0
+        errors[rows, 0] = desired[0] - 400.0
+        (found,) = unseen_points(replace(run, feature_error=errors.copy()))
+        assert found.point == 1
+        assert found.first == pytest.approx(0.1 * rows.start)
+        assert found.total == pytest.approx(total)
+
+
+@pytest.mark.parametrize(("farthest", "may"), [(299.0, False), (301.0, True)])
+def test_a_thin_log_is_complete_where_every_step_was_near(half_turn: hs.Scenario, farthest: float, may: bool) -> None:
+    """Of samples at 250 px and an image that ends from 300 px on, by the metric that has every step."""
+    run = hs.simulate(half_turn.updated({"simulation.log_every": 500, "camera.image_size": [600.0, 600.0]}))
+    peaks = {**run.streamed_metrics, "peak_feature_distance": farthest}
+    assert (unseen_sentence(replace(run, streamed_metrics=peaks)) is not None) == may
 
 
 def test_a_plane_of_points_that_is_passed_is_noted() -> None:

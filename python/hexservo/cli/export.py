@@ -98,7 +98,6 @@ def _notes(scenario: hs.Scenario, period: float) -> str:
 def _mjcf(scenario: hs.Scenario, file: str, force: bool) -> str:
     from hexservo.bridges.mujoco_model import TITLE, keyframe_notes, mjcf, not_in_model
     from hexservo.run.files import write_file
-    from hexservo.scenario.block import SAMPLED_MODE
 
     with refusals():
         text = mjcf(scenario)
@@ -107,7 +106,7 @@ def _mjcf(scenario: hs.Scenario, file: str, force: bool) -> str:
     first = f'{file}: machine, camera and target of the scenario "{scenario.name}" for MuJoCo\n'
     notes = [f"not in the model: {', '.join(missing)}"] if missing else []
     actuators = scenario.actuators
-    if scenario.simulation.mode == SAMPLED_MODE and actuators.kind == "force" and actuators.hold == "wrench":
+    if scenario.sampled and actuators.kind == "force" and actuators.hold == "wrench":
         notes.append(
             "actuators.hold: the motors of the model hold leg forces over a tick, and a run of this scenario the "
             "wrench; leg forces of a run with actuators.hold: leg_forces move both alike"

@@ -17,6 +17,7 @@ from hexservo.findings.target_path import moving_keys, path_at
 from hexservo.findings.tracking_runs import MOVED, RUNS, long_enough, seeds_of_runs
 from hexservo.run.batch import simulate_batch, whole
 from hexservo.run.metrics import is_settled
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.laws import Tracking
 from hexservo.scenario.rotations import quaternions_of_matrices, unit_rotation_vectors
 from hexservo.scenario.scenario import Scenario

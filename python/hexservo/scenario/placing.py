@@ -130,11 +130,14 @@ def _require_front(scenario: Blocks, kind: str, pose: Vector) -> None:
 def _camera_at(scenario: Blocks, shift: Array, turn: Array) -> tuple[Array, Array]:
     """Return the camera's place (3,) [m] and attitude (3, 3) where the target's points are: in B, or in E.
 
-    Of a platform that is displaced from home by a shift (3,) [m] and a rotation (3, 3).
+    Of a platform that is displaced from home by a shift (3,) [m] and a rotation (3, 3). The attitude is that of the
+    paper's axes, whose z points against the view.
     """
     robot, mount = scenario.robot, scenario.camera.mount
     position, attitude = np.array(robot.home_position) + shift, turn @ rotation_matrix(robot.home_attitude)
     place, looks = np.array(mount.position), rotation_matrix(mount.rotation)
+    if scenario.camera.axes == "opencv":
+        looks = looks * [1.0, -1.0, -1.0]
     if mount.on == "base":  # in E, as the tag
         return attitude.T @ (place - position), attitude.T @ looks
     return position + attitude @ place, attitude @ looks

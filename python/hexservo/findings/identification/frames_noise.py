@@ -18,7 +18,7 @@ from hexservo.scenario.arrays import Array, Mask
 
 _NOISE = 0.5  # share of the differences' power that a fit of the drives leaves of noise, at least
 _REACH = 15  # ticks from which on a reading does not act in a spline, to 1e-8
-_KNOWN_TO = 0.1  # share of the joints' power in the image that is not known
+_KNOWN_TO = 0.1  # share of the joints' power in the image, or of its slopes, that is not known
 _MOST_DEVIATION = 0.25  # of frames' times that is searched [s]
 _ALIKE = 0.25  # share of a jitter that two of its estimates may differ by
 _TIMES_TO = 5e-5  # to which the deviation of frames' times is searched [s]
@@ -63,7 +63,8 @@ def spline_shares(log: Log, times: Array, derivative: int = 0) -> Array:
 def overstated(slopes: Array, power: float) -> float:
     """Return how many times too well least squares takes a shift of times to be known; infinite where it is not.
 
-    The joints' noise changes from tick to tick, and the slope of its spline passes for a motion.
+    The joints' noise changes from tick to tick, and the slope of its spline passes for a motion. Of joints at rest
+    all of it does, but for a part that the noise is not known to: up to two standard deviations are no motion.
 
     Parameters
     ----------
@@ -74,7 +75,7 @@ def overstated(slopes: Array, power: float) -> float:
     """
     alone = _shift_alone(slopes)
     seen = float(alone @ alone)
-    return seen / (seen - power) if seen > power else np.inf
+    return seen / (seen - power) if seen > (1 + 2 * _KNOWN_TO) * power else np.inf
 
 
 def moved_by(slopes: Array, image: Array) -> float:

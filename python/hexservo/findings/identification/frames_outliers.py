@@ -115,9 +115,13 @@ def _found(left: Array, speed: Array, seen: Mask) -> tuple[Mask, Outliers | NoOu
     both = float((straight[found] - beyond[found]).mean()) / 2.0  # variance of the error and the noise together
     ends = [2 * number * both / end for end in chi2.ppf([0.5 + LEVEL / 2, 0.5 - LEVEL / 2], 2 * number)]
     size = Interval(*(float(np.sqrt(max(one - variance, 0.0))) for one in (both, *ends)))
-    nearby = min(float(np.exp(edge / (2.0 * both))), total / number)
+    hidden = edge / (2.0 * both)
+    nearby = min(float(np.exp(hidden)), total / number)
     share = share_of(number, total)
-    probability = Interval(*(min(nearby * one, 1.0) for one in (share.value, share.low, share.high))).determined()
+    # `both` has the relative deviation of the count, 1/sqrt(number), and so exp(hidden) `hidden` times that
+    spread = np.hypot(1.0, hidden)
+    ways = (share.value * (end / share.value) ** spread for end in (share.value, share.low, share.high))
+    probability = Interval(*(min(nearby * float(one), 1.0) for one in ways)).determined()
     again = int((found[1:] & found[:-1]).sum())
     lasts = bool(again > 1 and binom.sf(again - 1, number, number / total) < _BY_CHANCE)
     return frames, Outliers(int(frames.sum()), count, float(np.sqrt(edge)), probability, size, lasts)
