@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from hexservo.campaigns.distributions import SEED, Variation, uniform_of
 from hexservo.run.variations import changes_of_run, label_of_varied
@@ -180,6 +179,8 @@ def _displaced(points: Array, translation: Array | None, rotation: Array | None)
     centre = points.mean(axis=0)
     moved = points[None] - centre
     if rotation is not None:
+        from scipy.spatial.transform import Rotation  # takes a quarter of a second, where it is needed alone
+
         matrix = Rotation.from_rotvec(rotation).as_matrix()[:, None]
         moved = matrix[..., 0] * moved[..., :1] + matrix[..., 1] * moved[..., 1:2] + matrix[..., 2] * moved[..., 2:]
     return np.ascontiguousarray(moved + centre + (0.0 if translation is None else translation[:, None]))

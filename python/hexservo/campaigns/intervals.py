@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from decimal import Decimal
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.special import betaincinv, betaln
 
 from hexservo.scenario.wording import whole_number
@@ -66,6 +65,8 @@ def anytime_interval(
     _require_counts(failures, runs)
     if runs == 0:
         return 0.0, 1.0
+    from scipy.optimize import brentq  # takes a third of a second, where it is needed alone
+
     most = -math.log1p(-confidence)
 
     def excess(logit: float) -> float:  # of log M over log(1/alpha), at p = 1/(1 + exp(-logit))

@@ -140,6 +140,12 @@ def leaves(block: type[BaseModel], head: str = "", sampled: bool = False) -> Ite
             yield head + key, field, marked
 
 
+@cache
+def _fields() -> dict[str, FieldInfo]:
+    """Return the field of each dotted key of a scenario (do not modify)."""
+    return {path: field for path, field, _ in leaves(Blocks)}
+
+
 def default_of_field(field: FieldInfo) -> Any:
     return field.get_default(call_default_factory=True)
 
@@ -147,7 +153,7 @@ def default_of_field(field: FieldInfo) -> Any:
 @cache
 def keys_below(name: str) -> tuple[str, ...]:
     """Return the dotted keys that a block holds, or the key itself."""
-    return tuple(path for path, _, _ in leaves(Blocks) if path == name or path.startswith(f"{name}."))
+    return tuple(path for path in _fields() if path == name or path.startswith(f"{name}."))
 
 
 @cache
@@ -155,7 +161,7 @@ def default_of(key: str) -> Any:
     """Return the default of a dotted key that has one, or whose blocks have."""
     block, _, inner = key.partition(".")
     if Blocks.model_fields[block].is_required():
-        return next(default_of_field(field) for path, field, _ in leaves(Blocks) if path == key)
+        return default_of_field(_fields()[key])
     value = default_of_field(Blocks.model_fields[block])
     return attrgetter(inner)(value) if inner else value
 
