@@ -480,3 +480,21 @@ def test_the_data_are_the_numbers_of_the_findings(paper: hs.Scenario, found: sti
     assert f"up to {number(ends.largest)} px in a coordinate" in found.section().sentences[0]
     assert "linear value" not in found.section().sentences[0]  # no run is beyond it
     assert f"{number(1e3 * ends.largest / f)} mrad" in found.section().sentences[0]
+
+
+def test_a_limit_that_a_checked_pose_exceeds_is_approximate() -> None:
+    """The set is linear; a pose farther than its limit at which the law is within K_v refutes "up to"."""
+    found = stiction.analyse(hs.load_scenario("fails-stiction"))
+    words = found.section().sentences
+    beyond = [case.confirmed > case.ends.largest for case in found.cases if case.ends and case.confirmed is not None]
+    assert beyond == [True, True]
+    assert "image errors of about 16.7 px in a coordinate" in words[0]
+    assert (
+        "At a pose with 17.7 px the law itself is within K_v, and every leg within its stroke: the set is" in words[0]
+    )
+    assert any(text.endswith(": about 18.1 px, 19.1 px at a checked pose.") for text in words)
+    assert not any(f"up to {number} px" in text for number in (16.7, 18.1) for text in words)
+    inside = tuple(replace(case, confirmed=case.ends.largest - 0.1) for case in found.cases if case.ends)
+    words = replace(found, cases=inside).section().sentences
+    assert "image errors of up to 16.7 px in a coordinate" in words[0]
+    assert "approximate" not in words[0]

@@ -11,7 +11,7 @@ import hexservo as hs
 from fitted_machines import BAND, rotation
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.check import unlikely
-from hexservo.findings.coupling import settling
+from hexservo.findings.coupling import causes_of_products, has_products, settling
 from test_fitted_gains import with_auto
 
 OFF_CENTRE = [0.0, 0.0, 0.05]  # half a platform radius
@@ -161,3 +161,47 @@ def test_without_fuzzy_systems_nothing_adapts(paper: hs.Scenario) -> None:
     ratio = settling(Scene(coupled)).ratio
     assert ratio == pytest.approx(settled_at(coupled) / settled_at(centred), rel=0.07)
     assert ratio != pytest.approx(settling(Scene(carrying(paper, "composite", [0.0, 0.0, 0.03]))).ratio, rel=0.005)
+
+
+@pytest.mark.parametrize(
+    ("changes", "of_coupling", "of_centre"),
+    [
+        ({"robot.centre_of_mass": [0.0, 0.0, 0.01]}, "robot.centre_of_mass", "robot.centre_of_mass"),
+        ({"robot.payload": {"mass": 0.01, "position": [0.0, 0.0, 0.01]}}, *2 * ["robot.payload.position"]),
+        (
+            {
+                "robot.centre_of_mass": [0.0, 0.0, 0.01],
+                "robot.payload": {"mass": 0.01, "position": [0.0, 0.0, 0.01]},
+            },
+            *2 * ["robot.centre_of_mass and robot.payload.position"],
+        ),
+        # none of what the controller does not know couples the axes of its model
+        ({"robot.payload": {"mass": 0.01, "position": [0.0, 0.0, 0.01], "known": False}}, "", "robot.payload.position"),
+        (
+            {"robot.inertia": [[1.5e-4, 2e-5, 0.0], [2e-5, 1.5e-4, 0.0], [0.0, 0.0, 2e-4]]},
+            "products in robot.inertia",
+            "",
+        ),
+        ({"target.desired_pose": [0.0, 0.0, 0.0, 0.3, 0.0, 0.0]}, "unequal moments in robot.inertia, rotated", ""),
+        ({"robot.payload": {"mass": 0.01}}, "", ""),
+    ],
+)
+def test_the_keys_are_named_that_place_the_centre_of_mass_and_couple_the_axes(
+    paper: hs.Scenario, changes: dict[str, Any], of_coupling: str, of_centre: str
+) -> None:
+    goal = {"target.desired_features": None, "target.desired_pose": [0.0] * 6, "robot.inertia": [2e-4, 2e-4, 3e-4]}
+    scene = Scene(carrying(paper, "pbvs", [0.0, 0.0, 0.0]).updated({**goal, **changes}))
+    assert has_products(scene.machine) == bool(of_coupling)
+    if of_coupling:
+        assert causes_of_products(scene.scenario) == of_coupling
+    assert f"({of_centre})" in scene.unusual_body if of_centre else "centre of mass" not in scene.unusual_body
+
+
+def test_a_load_of_a_simulator_is_named_by_check_and_analyse() -> None:
+    """`robot.centre_of_mass` of `moog-6dof2000e` is the origin."""
+    scenario = hs.load_scenario("moog-6dof2000e")
+    (coupled,) = (sentence for sentence in unlikely(scenario) if "couples the axes" in sentence)
+    assert "the inertia couples the axes (robot.payload.position): " in coupled
+    words = " ".join(str(hs.analyse(scenario, ["stiction", "camera_rate"])).split())
+    assert words.count("not in the platform's origin (robot.payload.position), and") == 2
+    assert "robot.centre_of_mass" not in coupled + words

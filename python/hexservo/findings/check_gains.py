@@ -13,7 +13,7 @@ from hexservo.findings.analysis.reach import nearest_limit
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.analysis.words import AXES
 from hexservo.findings.check_forces import of_fitted_forces, of_written_forces, start_forces
-from hexservo.findings.coupling import SHARE, has_products, noise_at_rest, settling
+from hexservo.findings.coupling import SHARE, causes_of_products, has_products, noise_at_rest, settling
 from hexservo.findings.leg_feedback import OF_MARGIN, feedback_margin, integral_margin
 from hexservo.findings.prior import largest_share, left_by_inverse, share_of_prior
 from hexservo.findings.target_path import follows_direction
@@ -35,7 +35,6 @@ _TURNED = 0.9  # share of rotations in the common motion of the features
 _COUPLED = 0.85, 1.2  # least and most of the time to settle, over that without products of the inertia
 _DEVIATIONS = 3.0  # of the features about rest that metrics.band should hold
 _HALF_DECADES = 12  # by which a prior is reduced in search of one that leaves less, at most
-_PRODUCTS = "the inertia couples the axes (robot.centre_of_mass, robot.payload.position, products in robot.inertia)"
 _OF_MOTION = frozenset(  # what sets how fast a platform moves: spring, damping, adaptation, or the bandwidth itself
     ("kp", "kd", "kt", "drive", "fuzzy.adaptation", "gain", "gain_far", "gain_slope", "ki", "bandwidth")
 )
@@ -274,6 +273,10 @@ def _of_forces(scene: Scene, key: str) -> Iterator[str]:
         yield from of_written_forces(scene)
 
 
+def _couples(scene: Scene) -> str:
+    return f"the inertia couples the axes ({causes_of_products(scene.scenario)})"
+
+
 def _of_coupling(scene: Scene, key: str) -> Iterator[str]:
     """Find an inertia that couples the axes, as that of a centre of mass off the origin: gains are for one axis."""
     if not _has_fitted_motion(scene.scenario):
@@ -284,7 +287,7 @@ def _of_coupling(scene: Scene, key: str) -> Iterator[str]:
         of = f"{100 * SHARE:g} % of that at the start" if is_share else "metrics.band"
         time = f"in {number(ratio, 2)} times the time" if math.isfinite(ratio) else "beyond the time"
         yield (
-            f"{key} is fitted axis by axis, but {_PRODUCTS}: the image error settles to {number(band, 2)} px, "
+            f"{key} is fitted axis by axis, but {_couples(scene)}: the image error settles to {number(band, 2)} px, "
             f"{of}, {time} of uncoupled axes; {_decoupling_laws(scene.scenario)} takes the coupling out"
         )
 
@@ -298,11 +301,11 @@ def _of_coupled_noise(scene: Scene, key: str) -> Iterator[str]:
         law, traits = scene.scenario.controller.law, scene.scenario.controller.traits
         inverse = f"controller.{law}.{traits.inverse or 'prior'}"
         yield (
-            f"{key} is fitted axis by axis, but {_PRODUCTS}: {number(feature_noise(scene.scenario.camera))} px of "
-            f"noise in the image move the features by {number(coupled, 2)} px about rest (standard deviation; "
-            f"{number(alone, 2)} px with uncoupled axes), so that they do not stay within metrics.band, "
-            f"{number(scene.band)} px; {_decoupling_laws(scene.scenario)} takes the coupling out, and a larger "
-            f"{inverse} lets less noise through"
+            f"{key} is fitted axis by axis, but {_couples(scene)}: "
+            f"{number(feature_noise(scene.scenario.camera))} px of noise in the image move the features by "
+            f"{number(coupled, 2)} px about rest (standard deviation; {number(alone, 2)} px with uncoupled axes), "
+            f"so that they do not stay within metrics.band, {number(scene.band)} px; "
+            f"{_decoupling_laws(scene.scenario)} takes the coupling out, and a larger {inverse} lets less noise through"
         )
 
 

@@ -11,7 +11,7 @@ from hexservo import _core
 from hexservo.findings.analysis.goal import SHOWN
 from hexservo.findings.analysis.image_estimate import estimate_of_image
 from hexservo.findings.analysis.rest import Rest
-from hexservo.findings.analysis.scene import Scene
+from hexservo.findings.analysis.scene import Scene, keys_of_centre
 from hexservo.findings.prior import key_of_inverse, left_by_inverse, weight_of_inverse
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.fitted import UPTAKE, Machine, auto_of
@@ -44,6 +44,18 @@ def has_products(machine: Machine) -> bool:
     """Return whether the inertia couples the axes, by more than rounding."""
     root = np.sqrt(machine.inertia)
     return bool(np.abs(machine.mass / (root * root[:, None]) - np.eye(6)).max() > _ROUNDING)
+
+
+def causes_of_products(scenario: Scenario) -> str:
+    """Return the keys by which the inertia couples the axes."""
+    keys = keys_of_centre(scenario, known=True)
+    bodies = {"robot": scenario.robot.inertia}
+    if scenario.robot.payload.mass > 0.0 and scenario.robot.payload.known:
+        bodies["robot.payload"] = scenario.robot.payload.inertia
+    for key, inertia in bodies.items():
+        if np.ndim(inertia) == 2 and np.count_nonzero(inertia - np.diag(np.diag(inertia))):
+            keys.append(f"products in {key}.inertia")
+    return " and ".join(keys) or f"unequal moments in {' and '.join(f'{key}.inertia' for key in bodies)}, rotated"
 
 
 def settling(scene: Scene) -> Settling:

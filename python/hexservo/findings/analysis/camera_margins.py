@@ -48,6 +48,8 @@ class Margins:
     radius: float  # spectral radius over one camera period, all modes but the resting ones
     rate: float  # growth of the slowest of them [1/s]; negative: it decays
     frequency: float  # of it [Hz]
+    others_rate: float  # as `rate`, of the modes that are no drifts [1/s]
+    others_frequency: float  # of the slowest of these [Hz]
     drifts: int  # real modes that grow with any camera, however fast
     drift_rate: float  # growth of the fastest of them, with a frame at each tick and no latency [1/s]; NaN: none
     perfect: bool  # with that camera nothing grows but at most `MOST_DRIFTS` drifts
@@ -77,6 +79,12 @@ def _drifts(loop: SampledLoop) -> tuple[int, float, bool]:
     real = (np.abs(growing.imag) < 1e-9) & (growing.real > 0.0)
     rate = float(np.log(growing.real[real].max()) / loop.seconds(perfect)) if real.any() else float("nan")
     return int(real.sum()), rate, bool(real.all()) and len(growing) <= MOST_DRIFTS
+
+
+def _without_drifts(found: Complex, allowed: int) -> Complex:
+    """Leave out as many real exponents that grow as are allowed, those that grow the least."""
+    growing = np.flatnonzero((np.abs(found.imag) < 1e-9) & (found.real > 0.0))
+    return np.delete(found, growing[len(growing) - min(allowed, len(growing)) :])
 
 
 def _holds(loop: SampledLoop, clock: Clock, allowed: int) -> bool:
@@ -159,9 +167,9 @@ def gain_border(stable: Callable[[float], bool], up: bool) -> float | None:
 
 def exponents(loop: SampledLoop, clock: Clock) -> Complex:
     """Return growth [1/s] and frequency [rad/s] of all modes, as complex numbers, the fastest growing first."""
-    values = loop.multipliers(clock)
+    values, angles = loop.modes(clock)
     growth = np.log(np.maximum(np.abs(values), 1e-300))
-    return np.asarray((growth + 1j * np.angle(values)) / loop.seconds(clock), dtype=complex)
+    return np.asarray((growth + 1j * angles) / loop.seconds(clock), dtype=complex)
 
 
 def motion_of(loop: SampledLoop, clock: Clock, exponent: complex) -> Complex:
@@ -262,7 +270,8 @@ def loop_margins(
     def holds_at(factor: float) -> bool:
         return _holds(replace(loop, gain=loop.gain * factor), clock, allowed)
 
-    slowest = exponents(loop, clock)[0]
+    found = exponents(loop, clock)
+    slowest, other = found[0], _without_drifts(found, allowed)[0]
     stable = holds(clock.period, clock.latency)
     most = round(LONGEST / loop.tick)
     most_period, most_latency, least_period = max(most, 10 * clock.period), max(most, 10 * clock.latency), 1
@@ -298,6 +307,8 @@ def loop_margins(
         radius=float(np.exp(slowest.real * clock.period * loop.tick)),
         rate=float(slowest.real),
         frequency=float(abs(slowest.imag) / (2.0 * np.pi)),
+        others_rate=float(other.real),
+        others_frequency=float(abs(other.imag) / (2.0 * np.pi)),
         drifts=drifts,
         drift_rate=drift_rate,
         perfect=perfect,
@@ -330,6 +341,7 @@ def radius_map(loop: SampledLoop, clock: Clock, found: Margins) -> tuple[Array, 
     for row, latency in enumerate(latencies):
         for column, period in enumerate(periods):
             if latency <= loop.few * period:
-                value = exponents(loop, Clock(int(period), int(latency)))[found.drifts]
-                radii[row, column] = np.exp(value.real * period * loop.tick)
+                at = Clock(int(period), int(latency))
+                value = abs(loop.multipliers(at)[found.drifts])
+                radii[row, column] = value ** (period * loop.tick / loop.seconds(at))
     return periods * loop.tick, latencies * loop.tick, radii

@@ -52,6 +52,10 @@ _LONGEST = (10.0, 10_000)
 """Of a run near a stability limit: one of the slower mode takes up to so many seconds or ticks, the larger of both."""
 _TURNING = 0.01
 """Angle [rad], by which a mode turns at least within that time; one that turns less is taken as real."""
+_RESOLVED = 0.75 * np.pi
+"""Angle [rad] by which a mode turns at most between two samples of its run; from half a turn on it has an alias."""
+_PATTERNS = 64.0
+"""Least duration of a run near a stability limit, in patterns of the clocks."""
 E_FOLDINGS = 10.0
 """Of a mode of the linear loop in a run that hunts, from which it would have left the settling band if it grew."""
 _KEYS: tuple[Literal["period", "latency"], ...] = ("period", "latency")
@@ -200,9 +204,15 @@ class _Place:
 def _run(
     place: _Place, exponent: complex, drifts: int, offsets: tuple[float, ...] = (OFFSET, SMALL_OFFSET)
 ) -> BorderRun | None:
-    """Measure the growth of a mode from the first offset [px] for which its sign is clear; None if there is none."""
+    """Measure the growth of a mode from the first offset [px] with that of the linear loop, else the last one.
+
+    None where nothing can be measured. Of an inconclusive run the sign alone is compared.
+    """
     seconds = place.loop.seconds(place.clock)
-    predicted, turning = exponent.real, abs(exponent.imag)
+    predicted = exponent.real
+    turning, ticks = abs(exponent.imag), round(seconds / place.loop.tick)
+    # Seen once a pattern, a mode that oscillates as fast as half its rate is hard to distinguish from its alias.
+    parts = next((n for n in range(1, ticks) if ticks % n == 0 and turning * seconds <= _RESOLVED * n), ticks)
     # Long enough for many turns and for a change that shows, short enough for a mode that grows to stay small.
     most = max(_LONGEST[0], _LONGEST[1] * place.loop.tick)
     turns = 32.0 * np.pi / turning if turning * most > _TURNING else 0.0
@@ -212,26 +222,26 @@ def _run(
     drift = float(np.log(real.max(initial=1.0)) / seconds)
     way = motion_of(place.loop, place.clock, exponent)
     way = way * np.exp(-1j * np.angle(way[int(np.argmax(np.abs(way)))]))  # its largest part is real
-    if drift * 64.0 * seconds > np.log(0.1 / SMALL_OFFSET):
-        return None  # `growth` takes 64 samples, and by then the drift would be all that is seen
-    measured, offset, duration = 0.0, OFFSET, longest
+    if drift * _PATTERNS * seconds > np.log(0.1 / SMALL_OFFSET):
+        return None  # a run takes at least so long, and by then the drift would be all that is seen
+    run: BorderRun | None = None
     for offset in offsets:
         # A drift must not have left the linear range by then, a tenth of a pixel.
         duration = longest if drift * longest < np.log(0.1 / offset) else float(np.log(0.1 / offset)) / drift
+        duration = max(duration, _PATTERNS * seconds)
         measured = growth(
             place.scenario,
             duration,
-            every=round(seconds / place.loop.tick),
-            angle=turning * seconds,
+            every=ticks // parts,
+            angle=turning * seconds / parts,
             way=way.real,
-            without=real.tolist(),
+            without=(real ** (1.0 / parts)).tolist(),
             offset=offset,
         )
-        if (measured > 0.0) == (predicted > 0.0):
+        run = BorderRun(place.key, place.value, predicted, measured, offset, NEARLY, duration)
+        if run.grows_as_predicted or (run.agrees and not run.conclusive):
             break
-    if np.isnan(measured):
-        return None
-    return BorderRun(place.key, place.value, predicted, measured, offset, NEARLY, max(duration, 64.0 * seconds))
+    return None if run is None or np.isnan(run.measured) else run
 
 
 def analyse(scenario: Scenario, *, borders: bool = True) -> CameraRate:

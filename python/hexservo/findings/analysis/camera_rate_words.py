@@ -90,6 +90,17 @@ def _mode(frequency: float) -> str:
     return "without oscillation" if frequency < 1e-3 else f"at {frequency:.3g} Hz"
 
 
+def _slowest(margins: Margins) -> str:
+    """Return the growth of the slowest mode, beside that of a drift, which is no matter of the camera."""
+
+    def growth(rate: float) -> str:
+        return f"{'grows' if rate > 0.0 else 'decays'} at {abs(rate):.3g} 1/s"
+
+    if margins.others_rate == margins.rate:
+        return f"the slowest mode {growth(margins.rate)}"
+    return f"the drift {growth(margins.rate)}, and the slowest of the other modes {growth(margins.others_rate)}"
+
+
 def _sentences(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins, acting: Margins) -> list[str]:
     tick = at_rest.scenario.simulation.step
     period, latency = in_ms(clock.period * tick), in_ms(clock.latency * tick)
@@ -136,10 +147,9 @@ def _sentences(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Marg
         found = [drift, first] if acting.stable else [first, drift]  # what decides the verdict comes first
 
     found.extend(legs_in_words(result, tick))
-    how = "grows" if acting.rate > 0.0 else "decays"
     found.append(
-        f"Over one period of {period} the spectral radius is {acting.radius:.4g}: the slowest mode {how} at "
-        f"{abs(acting.rate):.3g} 1/s {_mode(acting.frequency)}."
+        f"Over one period of {period} the spectral radius is {acting.radius:.4g}: {_slowest(acting)} "
+        f"{_mode(acting.others_frequency)}."
     )
     below, above = acting.gain
     *gains, last = proportional_gains(at_rest.scenario)
@@ -207,12 +217,13 @@ def _about_learned(result: CameraRate, tick: float) -> list[str]:
     learned = result.learned
     if learned is None:
         return ["The task itself does not settle in the sampled loop: there are no learned weights to linearise at."]
-    mode = f"its slowest mode {'grows' if learned.rate > 0.0 else 'decays'} at {abs(learned.rate):.3g} 1/s"
+    mode = _slowest(learned)
     if not learned.has_camera:
         none = _without_camera(learned)
         return [f"At the weights at the end of the task's own run the loop is unstable {none}: {mode}."]
+    verdict = f"{'stable' if learned.stable else 'unstable'}{' except for drift' * (learned.drifts > 0)}"
     return [
-        f"At the weights at the end of the task's own run the loop is {'stable' if learned.stable else 'unstable'}: "
+        f"At the weights at the end of the task's own run the loop is {verdict}: "
         f"{mode}; {_at_most(learned.period, tick, 'period')}, and {_at_most(learned.latency, tick, 'latency')}."
     ]
 
@@ -292,7 +303,8 @@ def _items(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins)
 
     rows = [
         row("spectral radius over one period", "", lambda m: m.radius),
-        row("growth of the slowest mode", "1/s", lambda m: m.rate),
+        row("growth of the slowest mode, drifts included", "1/s", lambda m: m.rate),
+        row("growth of the slowest mode that does not drift", "1/s", lambda m: m.others_rate),
         row("smallest stable period at this latency", "ms", lambda m: _least(m.period, tick)),
         row("largest stable period at this latency", "ms", lambda m: _number(m.period, tick)),
         row("smallest stable latency at this period", "ms", lambda m: _least(m.latency, tick)),
@@ -375,6 +387,8 @@ def _data(result: CameraRate, at_rest: LoopAtRest, clock: Clock, free: Margins) 
             "spectral_radius": one.radius,
             "growth": one.rate,
             "frequency": one.frequency,
+            "growth_without_drifts": one.others_rate,
+            "frequency_without_drifts": one.others_frequency,
             "drifts": one.drifts,
             "drift_growth": one.drift_rate,
             "stable_with_perfect_camera": one.perfect,

@@ -184,11 +184,12 @@ def border_runs_in_words(result: CameraRate) -> list[str]:
                 f"{np.exp(LEAST_CHANGE):.2g}."
             ]
         return [text + " They disagree: the linear loop does not describe these runs."]
-    if any(run.offset < START for run in result.runs):
+    grow = all(run.grows_as_predicted for run in result.runs if run.conclusive)
+    if grow and any(run.offset < START for run in result.runs):
         text += f" From {START:g} px a run behaves differently: this far from its goal the loop is not linear."
     side = f", {100 * inside.apart:g} % on either side of the predicted one" if inside.key == "gain" else ""
     text += f" The stability limit lies between these two runs{side}."
-    if not (inside.grows_as_predicted and outside.grows_as_predicted):
+    if not grow:
         share = f"{100 * OF_GROWTH:g} %"
         text += f" Their growth is not within {share} of the predicted: it has the predicted sign, and another size."
     return [text]

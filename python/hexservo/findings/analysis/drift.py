@@ -329,7 +329,8 @@ class _Worker:
         for i, error in enumerate(errors):
             least = int(np.argmin(values[i].real))
             direction = without_sign(vectors[i, :, least].real)
-            growing = next((rate for rate in (rates[i], goal_rates[i]) if rate.real <= 0.0), 0j)
+            grow = [rate for rate in (rates[i], goal_rates[i]) if rate.real <= 0.0]
+            growing = min(grow, key=lambda rate: float(rate.real), default=0j)
             found.append(
                 Pattern(
                     signs_of(error),

@@ -25,18 +25,13 @@ class Pattern:
     direction: Array  # (6,) [m; rad], in B: the one that belongs to `start`
     rate: float  # [1/s], smallest real part of the drift's rates, at the start
     goal_rate: float  # [1/s], the same at the goal; NaN where there is no goal pose
-    frequency: float  # [Hz], at which the pose error oscillates where it grows, at the start if there; 0: it decays
+    frequency: float  # [Hz], at which the pose error oscillates where it grows, the faster of both poses; 0: it decays
     late_alone: bool  # an eigenvalue of the loop matrix is large, and the pose error grows, but not with a fresh image
     end: Array | None  # (6,) from home [m; rad], where it comes to rest (`ends`); None: none attracts, or is searched
     end_rate: float  # [1/s], as `rate`, there
     end_error: float  # [px], largest |xi_d - xi| there
     end_travel: float  # [m], largest leg travel there
     end_left: float  # share of its limits that the leg nearest to one has left there; negative: out of reach
-
-    @property
-    def smallest(self) -> float:
-        """Smallest real part of an eigenvalue of the loop matrix at start and goal [1]."""
-        return float(np.nanmin([self.start, self.goal]))
 
     @property
     def slowest(self) -> float:

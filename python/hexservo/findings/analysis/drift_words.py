@@ -38,14 +38,13 @@ def _sentences(found: Drift) -> list[str]:
     places = "start and goal" if found.has_goal else "the start (the goal image belongs to no pose)"
     words = [
         f"Of all sixteen signs of depth errors of {100 * chosen.size:.3g} % the worst is {worst.signs}: the "
-        f"smallest eigenvalue of the loop matrix is {worst.start:.3g} at the start"
-        + (f" and {worst.goal:.3g} at the goal" if found.has_goal else "")
-        + f", along {direction_words(worst.direction, found.depth, found.small_shift)}."
+        f"smallest eigenvalue of the loop matrix is {_at_poses(worst.start, worst.goal)}"
+        f", along {direction_words(worst.direction, found.depth, found.small_shift)}."
     ]
     if worst.slowest > 0.0:
         words.append(
-            f"There {found.law} creeps with a time constant of {worst.time_constant:.3g} s at the start "
-            f"({found.driven_by})" + _end_words(found, worst) + "."
+            f"There {found.law} creeps with a time constant of {_times(worst)} ({found.driven_by})"
+            f"{_end_words(found, worst)}."
         )
     else:
         words.append(
@@ -54,14 +53,12 @@ def _sentences(found: Drift) -> list[str]:
         )
     own = found.own
     if np.ptp(own.errors) > 0.0:
-        text = f"With the scenario's own depth errors the smallest eigenvalue is {own.smallest:.3g}, and "
-        slow = f"the time constant at the start {own.time_constant:.3g} s" + _end_words(found, own)
+        text = "With the scenario's own depth errors"
+        slow = f"the time constant is {_times(own)}{_end_words(found, own)}"
     else:
-        text = (
-            f"The scenario's own depth errors are equal ({own.errors[0]:+.3g}): the smallest eigenvalue is "
-            f"{own.smallest:.3g}, and "
-        )
-        slow = f"the slowest mode has a time constant of {own.time_constant:.3g} s"
+        text = f"The scenario's own depth errors are equal ({own.errors[0]:+.3g}):"
+        slow = f"the slowest mode has a time constant of {_times(own)}"
+    text += f" the smallest eigenvalue is {_at_poses(own.start, own.goal)}, and "
     words.append(text + (slow if own.slowest > 0.0 else _growth(own)) + ".")
     if own.slowest > 0.0 and found.loop is not None and not found.loop.own.stable:
         margins = found.loop.own
@@ -117,22 +114,38 @@ def _of_loop(found: Drift) -> list[str]:
     ]
 
 
+def _at_poses(start: float, goal: float, unit: str = "") -> str:
+    """Return a number at the start and at the goal, which is NaN without a goal pose."""
+    first, second = f"{start:.3g}{unit}", f"{goal:.3g}{unit}"
+    if np.isnan(goal):
+        return f"{first} at the start"
+    return f"{first} at start and goal" if first == second else f"{first} at the start and {second} at the goal"
+
+
+def _times(pattern: Pattern) -> str:
+    """Return the time constants of a creep at the start and at the goal."""
+    return _at_poses(pattern.time_constant, pattern.goal_time_constant, " s")
+
+
 def _growth(pattern: Pattern) -> str:
-    """Return how fast the pose error grows: at the start, or at the goal where it does so there alone."""
+    """Return how fast the pose error grows: where it does so faster first, and how it changes at the other pose."""
+    places = [("start", pattern.rate, pattern.time_constant)]
+    if not np.isnan(pattern.goal_rate):
+        places.append(("goal", pattern.goal_rate, pattern.goal_time_constant))
+    (place, _, time), *others = sorted(places, key=lambda each: each[1])
     grows = "grows" if pattern.frequency == 0.0 else f"oscillates at {pattern.frequency:.3g} Hz and grows"
-    if pattern.rate <= 0.0:
-        return f"the pose error {grows} e-fold in {-pattern.time_constant:.3g} s at the start"
-    return (
-        f"the pose error {grows} e-fold in {-pattern.goal_time_constant:.3g} s at the goal, while at the start it "
-        f"decays with a time constant of {pattern.time_constant:.3g} s"
-    )
+    text = f"the pose error {grows} e-fold in {-time:.3g} s at the {place}"
+    for other, rate, time in others:
+        how = f"in {-time:.3g} s" if rate <= 0.0 else f"it decays with a time constant of {time:.3g} s"
+        text += f", and {how} at the {other}" if rate <= 0.0 else f", while at the {other} {how}"
+    return text
 
 
 def _end_words(found: Drift, pattern: Pattern) -> str:
     if pattern.end is None:
         return ""
     text = (
-        f" and {pattern.end_time_constant:.3g} s at its end, {_end_from_home(pattern):.3g} mm from home, with "
+        f", and {pattern.end_time_constant:.3g} s at its end, {_end_from_home(pattern):.3g} mm from home, with "
         f"{pattern.end_error:.3g} px and {1e3 * pattern.end_travel:.3g} {found.leg_unit} of leg travel"
     )
     if not _beyond(found, pattern):

@@ -5,6 +5,7 @@ Independent of the robot: the matrices may have any number of axes. `docs/analys
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import lcm
@@ -16,6 +17,8 @@ from hexservo.scenario.arrays import Array, Complex
 
 BORDER = 1.0 + 1e-8
 """A spectral radius beyond it counts as unstable: closer to 1 rounding and finite differences decide."""
+
+_NOTHING = 1e-6  # of a mode, at most, is left at the end of a pattern: at which frequency it decays is of no account
 
 _LARGEST = 95  # numbers of a pattern's state up to which its eigenvalues are cheap (BLAS stays on one thread)
 
@@ -218,17 +221,29 @@ class SampledLoop:
 
         It begins at an exposure. The state is that of a tick, then the frames under way, the oldest first.
         """
+        return self._walk(clock, np.eye(self.size + self.frame.shape[1] * (clock.latency // clock.period)))
+
+    def _walk(self, clock: Clock, states: Array, visit: Callable[[Array], None] | None = None) -> Array:
+        """Return states (m, k) at a pattern's start as they are at its end; `visit` gets those of each tick between."""
         size, wide = self.size, self.frame.shape[1]
         at = self._parts["f"]
-        under_way, rest = divmod(clock.latency, clock.period)
-        whole = np.eye(size + wide * under_way)
+        rest = clock.latency % clock.period
+
+        def move(start: int, stop: int) -> None:
+            if visit is None:
+                states[:size] = self._passage(start, stop) @ states[:size]
+                return
+            for tick in range(start, stop):
+                visit(states[:size].copy())
+                states[:size] = self._passage(tick, tick + 1) @ states[:size]
+
         for begin in range(0, lcm(clock.period, self.reading), clock.period):
-            whole = np.vstack([whole, self._exposed() @ whole[:size]])
-            whole[:size] = self._passage(begin, begin + rest) @ whole[:size]
-            whole[at] = whole[size : size + wide]  # the frame that is due
-            whole = np.delete(whole, slice(size, size + wide), axis=0)
-            whole[:size] = self._passage(begin + rest, begin + clock.period) @ whole[:size]
-        return whole
+            states = np.vstack([states, self._exposed() @ states[:size]])
+            move(begin, begin + rest)
+            states[at] = states[size : size + wide]  # the frame that is due
+            states = np.delete(states, slice(size, size + wide), axis=0)
+            move(begin + rest, begin + clock.period)
+        return states
 
     def resting_at(self, clock: Clock) -> Array:
         """Return the states of the pattern for a platform at rest at a displacement, seen in all frames, (m, n).
@@ -312,6 +327,33 @@ class SampledLoop:
         """Eigenvalues of the pattern without the modes of `resting`, largest first."""
         values = np.linalg.eigvals(self._reduced(clock)[0]).astype(complex)
         return np.asarray(values[np.argsort(-np.abs(values), kind="stable")])
+
+    def modes(self, clock: Clock) -> tuple[Complex, Array]:
+        """Return `multipliers`, and the angle [rad] by which each mode turns over the pattern, whole turns included.
+
+        A multiplier has the angle less whole turns alone: what oscillates faster than half the frame rate has an alias.
+        The displacement of a mode is multiplier^(t/pattern) times what repeats with the pattern; of that the largest
+        harmonic is added, by kinetic energy. It makes no difference for modes of which nothing is left at the end.
+        """
+        whole, basis = self._reduced(clock)
+        values, vectors = np.linalg.eig(whole)
+        order = np.argsort(-np.abs(values), kind="stable")
+        values, vectors = values[order].astype(complex), vectors[:, order]
+        angles = np.angle(values)
+        left = np.abs(values) > _NOTHING
+        rates: list[Complex] = []
+        # Of the rates, which the modes of `resting` do not have.
+        self._walk(clock, basis @ vectors[:, left].astype(complex), lambda state: rates.append(state[self._parts["v"]]))
+        ticks = np.arange(len(rates))[:, None]
+        logarithms = np.log(np.abs(values[left])) + 1j * angles[left]
+        repeating = np.array(rates) * np.exp(-logarithms * ticks / len(ticks))[:, None, :]
+        harmonics = np.fft.fft(repeating, axis=0)
+        energy = np.abs(np.sum(harmonics.conj() * np.linalg.solve(self.acceleration, harmonics), axis=1))
+        turns = np.fft.fftfreq(len(ticks), 1.0 / len(ticks))[:, None]
+        ratio = np.exp((logarithms + 2j * np.pi * turns) / len(ticks))  # of two displacements a tick apart
+        energy /= np.maximum(np.abs(ratio - 1.0) / np.maximum(np.abs(ratio + 1.0), 1e-9), 1e-300) ** 2
+        angles[left] += 2.0 * np.pi * turns[np.argmax(energy, axis=0), 0]
+        return values, angles
 
     def motion(self, clock: Clock, multiplier: complex) -> Complex:
         """Return the displacement (n,) at the pattern's start of the mode whose multiplier is nearest, of length 1."""

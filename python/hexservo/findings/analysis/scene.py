@@ -97,7 +97,11 @@ class Scene:
         body, plant = self.body, self.settings.plant_body
         level = (np.array(body.gravity_wrench), np.array(plant.gravity_wrench))
         if np.any(body.centre_of_mass) or np.any(plant.centre_of_mass):
-            return "The centre of mass is not in the platform's origin, and the moment of its weight is not analysed."
+            keys = " and ".join(keys_of_centre(self.scenario))
+            return (
+                f"The centre of mass is not in the platform's origin ({keys}), and the moment of its weight is not "
+                "analysed."
+            )
         if not np.array_equal(*level) or not np.array_equal(body.inertia, plant.inertia):
             return "The platform has a payload that the controller does not know, which is not analysed."
         return ""
@@ -366,6 +370,17 @@ def has_to_hold(scenario: Scenario) -> bool:
         or scenario.has_unknown_payload
         or bool(np.any(scenario.simulation.start.twist))
     )
+
+
+def keys_of_centre(scenario: Scenario, *, known: bool = False) -> list[str]:
+    """Return the keys that place the centre of mass beside the platform's origin; of what the controller knows."""
+    robot = scenario.robot
+    has_payload = robot.payload.mass > 0.0 and (robot.payload.known or not known)
+    placed = {
+        "robot.centre_of_mass": np.any(robot.centre_of_mass),
+        "robot.payload.position": has_payload and np.any(robot.payload.position),
+    }
+    return [key for key, off in placed.items() if off]
 
 
 @lru_cache(maxsize=8)  # several parts of an analysis ask

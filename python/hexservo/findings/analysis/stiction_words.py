@@ -97,7 +97,7 @@ def _sentences(found: Stiction) -> list[str]:
     for case in found.cases[1:]:
         if case.ends is not None:
             checked = "" if case.confirmed is None else f", {number(case.confirmed)} px at a checked pose"
-            words.append(f"{case.name}: up to {number(case.ends.largest)} px{checked}.")
+            words.append(f"{case.name}: {_reach(case)} {number(case.ends.largest)} px{checked}.")
         else:
             words.append(f"{case.name}: no pose within the stroke.")
     words += [_of_runs(runs) for runs in found.runs]
@@ -127,7 +127,7 @@ def _of_the_set(found: Stiction, case: StictionCase) -> str:
     limits += [f"the span of the linearisation ({SPAN:.0%} of the depth, {SPAN} rad)"] if span.any() else []
     holds = "K_v holds" if found.creep is None else "K_v would hold"
     text = (
-        f"{holds} the platform with image errors of up to {number(ends.largest)} px in a coordinate "
+        f"{holds} the platform with image errors of {_reach(case)} {number(ends.largest)} px in a coordinate "
         f"({number(ends.rms)} px RMS), {number(1e3 * ends.largest / found.focal_pixels)} mrad at the focal length; "
         f"the set is limited by {' and '.join(limits)}. Its optical axis is up to {number(1e3 * ends.turn)} mrad "
         "from that at the goal."
@@ -135,7 +135,7 @@ def _of_the_set(found: Stiction, case: StictionCase) -> str:
     if case.confirmed is not None:
         text += (
             f" At a pose with {number(case.confirmed)} px the law itself is within K_v, and every leg within its "
-            "stroke."
+            f"stroke{': the set is linear, and its limit approximate' * (_reach(case) == 'about')}."
         )
     for runs in found.runs:
         if not runs.fuzzy and runs.counted.any() and (share := _share_of_bound(runs)) > 1.0:
@@ -144,6 +144,12 @@ def _of_the_set(found: Stiction, case: StictionCase) -> str:
                 "there."
             )
     return text
+
+
+def _reach(case: StictionCase) -> str:
+    """Return "up to", or "about" for a set whose linear limit a pose exceeds at which the law is within K_v."""
+    beyond = case.ends is not None and case.confirmed is not None and case.confirmed > case.ends.largest
+    return "about" if beyond else "up to"
 
 
 def _share_of_bound(runs: Runs) -> float:
