@@ -8,7 +8,9 @@ import math
 import pytest
 
 import hexservo as hs
+from hexservo.findings.diagnosis.devices import DEVICES
 from hexservo.findings.diagnosis.environment import faultless
+from hexservo.findings.diagnosis.ranking import make_cases
 from test_diagnosis_scales import in_pixels, in_time
 
 DURATION = "simulation.duration"
@@ -122,3 +124,18 @@ def test_divergence_has_the_same_cause_in_other_pixels(pixels: float) -> None:
     scores, others = ({finding.cause: finding.score for finding in one.causes} for one in found)
     assert others.keys() - scores.keys() <= {"band"}  # below the 2 px that are ordinary for any camera
     assert {cause: others[cause] for cause in scores} == pytest.approx(scores, abs=0.05)
+
+
+def test_depth_errors_that_cancel_have_the_mean_zero() -> None:
+    """Their sum in floating point is -1.4e-17, which was stated as the depth error of the remedy."""
+    errors = [0.08, 0.15, -0.25, 0.02]
+    assert sum(errors) != 0.0
+    case = make_cases([hs.load_scenario("rubin-camera-hexapod").updated({"uncertainty.depth": errors})])[0]
+    removals = {cause.key: cause.removals(case) for cause in DEVICES}
+    (equal,) = removals["unequal_depth"]
+    assert equal.changes == {"uncertainty.depth": 0.0}
+    assert "depth error of 0 for all" in equal.words
+    assert not removals["common_depth"]
+    shifted = case.scenario.updated({"uncertainty.depth": [0.1 + error for error in errors]})
+    (common,) = next(cause for cause in DEVICES if cause.key == "common_depth").removals(make_cases([shifted])[0])
+    assert common.changes == {"uncertainty.depth": errors}

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from hexservo.findings.analysis.scene import Scene
-from hexservo.findings.prior import left_by_inverse
+from hexservo.findings.prior import balance_of_prior, left_by_inverse
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.wording import number, quantity
 
@@ -25,11 +25,12 @@ def of_prior(scene: Scene) -> Iterator[str]:
     if not (traits.prior and traits.inverse and scene.has_points) or scene.moving_target:
         return
     machine = scene.machine
-    left = left_by_inverse(scene, machine)
-    levers = np.repeat([1.0, scene.platform_radius], 3)
-    if not np.linalg.norm(levers * left) > _LEFT * np.linalg.norm(levers * machine.displacement):  # NaN: no goal pose
+    if not np.isfinite(left_by_inverse(scene, machine)).all():  # no pose shows the goal image
         return
-    pixels = float(np.abs(machine.jacobian @ left)[machine.weights > 0.0].max())
+    left, pixels = balance_of_prior(scene, machine)
+    levers = np.repeat([1.0, scene.platform_radius], 3)
+    if np.linalg.norm(levers * left) <= _LEFT * np.linalg.norm(levers * machine.displacement):
+        return
     yield (
         f"controller.{law}.prior: its pull towards home and the image balance {_in_words(left, scene)} from the goal "
         f"pose, which is {_in_words(machine.displacement, scene)} from home, with {number(pixels, 2)} px of image "
