@@ -120,7 +120,7 @@ def start_forces(scene: Scene) -> StartForces:
 
 
 def of_weight(scene: Scene, forces: StartForces) -> str:
-    """Return how much the weight takes that the law assumes, and a remedy, as a clause; empty where the legs have it."""
+    """Return how much the assumed weight takes, and a remedy, as a clause; empty where the legs have it."""
     effort, limit = scene.units.effort, scene.scenario.robot.force_limit
     leg = int(np.abs(forces.weight).argmax())
     assumed, true = (float(abs(of[leg])) for of in (forces.weight, scene.resting_forces(scene.start)))

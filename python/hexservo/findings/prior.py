@@ -58,8 +58,8 @@ class Balance(NamedTuple):
 def balance_of_prior(scene: Scene, machine: Machine) -> Balance:
     """Find where the law rests with exact depths and weight: between home and a goal that a pose shows.
 
-    By Newton's method: where the pose error that drives fuzzy systems vanishes, or the sum of the springs without these.
-    Where it finds no such pose, to first order (`left_by_inverse`).
+    By Newton's method: where the pose error that drives fuzzy systems vanishes, or without these the sum of the
+    springs. Where it finds no such pose, to first order (`left_by_inverse`).
     """
     controller, counted = scene.scenario.controller, machine.weights > 0.0
     rest = Rest(scene.scenario)
