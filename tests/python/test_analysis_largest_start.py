@@ -317,6 +317,37 @@ def test_camera_times_are_searched_from_the_scenarios_own() -> None:
     assert "no period that was tried settles within 2 s at a latency of 100 ms (20 ms is slower" in words
 
 
+def test_a_task_that_leaves_the_band_after_the_short_runs_is_stated() -> None:
+    """Outliers after 2 s, and a leg that drifts beyond its stroke; seeds and single runs of both durations."""
+    scenario = hs.load_scenario("dropouts")
+    found = largest_start.analyse(scenario)
+    assert (found.duration, found.whole_duration) == (2.0, 5.0)
+    short, whole = (
+        [settled_after(scenario.updated({"simulation.duration": t, "seed": seed})) for seed in range(20)]
+        for t in (2.0, 5.0)
+    )
+    assert np.nanmax(short) < 2.0 < whole[scenario.seed] < np.nanmax(whole) < 5.0
+    assert found.whole_settling == whole[scenario.seed]
+    section = found.section()
+    words = " ".join(section.sentences)
+    assert f"and leaves the band again: in a run of 5 s it is settled after {whole[scenario.seed]:.2f} s." in words
+    assert "settles in runs of 2 s" in words
+    assert "a longer one may leave the band again" in words
+    assert section.data["task_settling_time"] == found.whole_settling
+    drifting = hs.load_scenario("fails-unequal-depth")
+    found = largest_start.analyse(drifting)
+    assert np.isfinite(settled_after(drifting.updated({"simulation.duration": found.duration})))
+    travel = hs.metrics(hs.simulate(drifting))["peak_leg_excursion"]
+    assert travel > drifting.robot.stroke
+    section = found.section()
+    assert section.verdict == "bad"
+    assert f"but in a run of 5 s takes a leg {1e3 * travel:.1f} mm" in " ".join(section.sentences)
+
+
+def settled_after(scenario: hs.Scenario) -> float:
+    return hs.metrics(hs.simulate(scenario))["settling_time"]
+
+
 def test_factors_of_a_border_differ() -> None:
     """1.367 and 1.373 times the task, which are both 1.37."""
     way = Direction("own", np.array([1e-3, 0, 0, 0, 0, 0]), 2.0, "stroke", {}, {}, None, {}, 2.0, {}, ())
@@ -328,7 +359,7 @@ def test_runs_are_counted(found: LargestStart) -> None:
     tried = sum(len(d.tried) for d in found.directions) + sum(len(t.tried) for t in found.timings)
     later = sum(d.settles_later is not None for d in found.directions)
     later += sum(t.settles_later is not None for t in found.timings)
-    assert found.runs == tried + later + 1  # and the task itself, which decides the duration
+    assert found.runs == tried + later + 2  # and the task itself, which decides the duration, and as long as it is
 
 
 def test_smaller_sizes_than_the_border_were_tried(found: LargestStart) -> None:

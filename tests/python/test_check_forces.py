@@ -122,3 +122,34 @@ def test_initial_weights_need_a_force_that_no_bandwidth_changes(paper: hs.Scenar
         assert ("too little for any bandwidth" in sentence) == bool(changes)
         assert np.abs(hs.simulate(scenario).leg_forces[0]).max() > scenario.robot.force_limit
         assert not needs(scenario.updated({key: 0.0}))
+
+
+def test_a_weight_that_the_law_assumes_and_the_legs_do_not_have() -> None:
+    """Also where they carry the true one: no force limit below what a run takes is without a sentence."""
+    scenario = hs.load_scenario("hand-eye").updated({"uncertainty.gravity": 0.1, "simulation.duration": 1.0})
+    peak = hs.metrics(hs.simulate(scenario))["peak_leg_force"]
+    for limit in np.linspace(0.1, 0.99, 12) * peak:
+        weak = scenario.updated({"robot.force_limit": limit})
+        assert [text for text in unlikely(weak) if " needs " in text and "leg " in text], limit
+    scene = scene_of(scenario)
+    assumed = float(np.abs(start_forces(scene).weight).max())
+    true = float(np.abs(scene.resting_forces(scene.home)).max())
+    assert true == pytest.approx(0.9 * assumed)
+    stated = (f"takes {1e3 * assumed:.0f} mN", f"the true one {1e3 * true:.0f} mN (uncertainty.gravity)")
+    for changes in ({}, {"controller.composite.auto.bandwidth": 1.0}):
+        between = scenario.updated({"robot.force_limit": 0.5 * (assumed + true), **changes})
+        (sentence,) = (text for text in unlikely(between) if "the law assumes" in text)
+        assert all(text in sentence for text in stated), sentence
+    assert not needs(scenario.updated({"robot.force_limit": 1.1 * peak}))
+
+
+def test_a_weight_that_the_legs_have_at_home_and_not_at_the_start() -> None:
+    """The leg forces of a platform that is tilted are those of the sentence."""
+    tilted = {"simulation.start.pose": [0.0, 0.0, 0.0, 0.06, 0.0, 0.0], "uncertainty.gravity": 0.0}
+    scenario = hs.load_scenario("hand-eye").updated(tilted)
+    scene = scene_of(scenario)
+    home, start = (float(np.abs(scene.resting_forces(pose)).max()) for pose in (scene.home, scene.start))
+    assert home < 0.99 * start
+    (sentence,) = needs(scenario.updated({"robot.force_limit": 0.5 * (home + start)}))
+    assert sentence.endswith("stronger legs, or another start")
+    assert f"takes {1e3 * start:.0f} mN" in sentence

@@ -16,6 +16,7 @@ from hexservo.cli import commands as cli
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.check import notes, unlikely
+from hexservo.run.goal_distance import goal_distance
 
 POSITIONS, FORCES = "pi-h824-positions", "pi-h824"
 UNITS = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
@@ -142,6 +143,25 @@ def test_a_prior_leaves_what_is_noted(law: str) -> None:
     prior = np.array(scenario.controller.gains.prior)
     weaker = scenario.updated({f"controller.{law}.prior": (1e-3 * prior).tolist()})
     assert not [note for note in notes(weaker) if note.startswith(f"controller.{law}.prior")]
+
+
+@pytest.mark.parametrize(
+    ("name", "prior"),
+    [("composite-30hz", None), ("paper-composite", None), ("textbook-general", [1200.0] * 3 + [7500.0] * 3)],
+)
+def test_runs_end_where_the_prior_and_the_image_are_noted_to_balance(name: str, prior: list[float] | None) -> None:
+    """Of nearly all of the way, of a half of it, and of large motions, of which the first order is 20 % off."""
+    exact = {"uncertainty.depth": 0.0, "camera.noise": 0.0, "controller.composite.kv": 0.0}
+    scenario = hs.load_scenario(name).updated({**exact, "simulation.duration": 20.0})
+    if prior is not None:
+        scenario = scenario.updated({"controller.composite.prior": prior})
+    (note,) = (note for note in notes(scenario) if note.startswith("controller.composite.prior"))
+    (pixels,) = re.findall(r"([\d.]+) px of image error", note)
+    run = hs.simulate(scenario)
+    end = goal_distance(run)
+    assert end is not None
+    np.testing.assert_allclose([end.shift, end.angle], [sizes(note)[0], sizes(note, "rad")[0]], rtol=0.01)
+    assert np.abs(run.feature_error[-1]).max() == pytest.approx(float(pixels), rel=0.05)  # of two digits
 
 
 def test_check_and_new_state_what_a_prior_leaves(tmp_path: Path) -> None:

@@ -4,13 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Any
 
+import numpy as np
 import pytest
 
 import hexservo as hs
+from hexservo.findings.diagnosis.devices import DEVICES
 from hexservo.findings.diagnosis.environment import faultless
+from hexservo.findings.diagnosis.gains import by_bandwidth, slower
+from hexservo.findings.diagnosis.ranking import make_cases
+from hexservo.scenario.keys import value_at
+from hexservo.scenario.laws import LAWS
 from test_diagnosis_scales import in_pixels, in_time
 
+BANDWIDTH = "controller.composite.auto.bandwidth"
 DURATION = "simulation.duration"
 SLOW = {"actuators.position.speed_limit": 0.0005}
 SLOWER = {"actuators.position.speed_limit": 0.0006, "controller.tracking.bandwidth": 0.1}
@@ -122,3 +130,69 @@ def test_divergence_has_the_same_cause_in_other_pixels(pixels: float) -> None:
     scores, others = ({finding.cause: finding.score for finding in one.causes} for one in found)
     assert others.keys() - scores.keys() <= {"band"}  # below the 2 px that are ordinary for any camera
     assert {cause: others[cause] for cause in scores} == pytest.approx(scores, abs=0.05)
+
+
+def drifting(**changes: Any) -> hs.Scenario:
+    """Return a scenario whose depth errors make the pose error grow, in tens of seconds, and whose run is of 5 s."""
+    of_camera = {"camera.latency": 0.06, "camera.period": 0.033, "camera.noise": 0.05}
+    errors = {"uncertainty.depth": [0.25, -0.27, -0.28, -0.29], BANDWIDTH: 0.5}
+    return hs.load_scenario("noisy-camera").updated({**of_camera, **errors, "robot.stroke": 0.017, **changes})
+
+
+def test_a_drift_that_the_run_is_too_short_for_is_stated_of_the_run_and_of_a_remedy() -> None:
+    """With the remedy the run passes, a longer one leaves the stroke, and the rate is that of the part `drift`."""
+    diagnosis = hs.diagnose(hs.simulate(drifting()))
+    (finding,) = diagnosis.named
+    remedy = finding.remedy
+    assert remedy is not None
+    assert remedy.works
+    assert remedy.changes == {BANDWIDTH: 2.0}
+    remedied = drifting(**remedy.changes)
+    own = hs.analyse(remedied, ["drift"]).drift.own
+    assert own is not None
+    assert own.slowest < 0.0
+    assert remedy.grows_in == pytest.approx(-1.0 / own.slowest, rel=1e-6)
+    words = f"the pose error grows e-fold in {-1.0 / own.slowest:.3g} s by unequal depth errors"
+    sentences = diagnosis.section().sentences
+    assert words in sentences[0]
+    assert sum(words in sentence for sentence in sentences if sentence.startswith("Against gains")) == 1
+    passing = hs.diagnose(hs.simulate(remedied)).section()
+    assert passing.verdict == "warning"
+    assert words in passing.sentences[0]
+    short, long = (
+        hs.metrics(hs.simulate(remedied.updated({DURATION: duration})))["peak_leg_excursion"]
+        for duration in (5.0, 60.0)
+    )
+    assert short < 0.5 * remedied.robot.stroke < 1.5 * remedied.robot.stroke < long
+    equal = hs.diagnose(hs.simulate(remedied.updated({"uncertainty.depth": -0.1475})))
+    assert equal.section().verdict == "good"
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_loop_in_another_time_is_stated_by_the_bandwidth_that_its_gains_follow(law: str) -> None:
+    """Where all of them follow it: with one that is written, the gains are stated one by one."""
+    changes = {"controller.law": law, f"controller.{law}.auto.bandwidth": 1.5}
+    scenario = hs.load_scenario("pi-h824-positions" if law == "tracking" else "pi-h824").updated(changes)
+    for factor in (4.0, 0.25):
+        gains = slower(scenario, factor)
+        assert by_bandwidth(scenario, gains) == {f"controller.{law}.auto.bandwidth": 1.5 / factor}
+        name = next(key for key in gains if np.any(value_at(scenario, key)))
+        written = scenario.updated({name: (1.1 * np.asarray(value_at(scenario, name))).tolist()})
+        gains = slower(written, factor)
+        assert by_bandwidth(written, gains) == gains
+    assert by_bandwidth(scenario, {"camera.noise": 0.0}) == {"camera.noise": 0.0}
+
+
+def test_depth_errors_that_cancel_have_the_mean_zero() -> None:
+    """Their sum in floating point is -1.4e-17, which was stated as the depth error of the remedy."""
+    errors = [0.08, 0.15, -0.25, 0.02]
+    assert sum(errors) != 0.0
+    case = make_cases([hs.load_scenario("rubin-camera-hexapod").updated({"uncertainty.depth": errors})])[0]
+    removals = {cause.key: cause.removals(case) for cause in DEVICES}
+    (equal,) = removals["unequal_depth"]
+    assert equal.changes == {"uncertainty.depth": 0.0}
+    assert "depth error of 0 for all" in equal.words
+    assert not removals["common_depth"]
+    shifted = case.scenario.updated({"uncertainty.depth": [0.1 + error for error in errors]})
+    (common,) = next(cause for cause in DEVICES if cause.key == "common_depth").removals(make_cases([shifted])[0])
+    assert common.changes == {"uncertainty.depth": errors}

@@ -66,16 +66,18 @@ def of_fitted_forces(scene: Scene, key: str) -> Iterator[str]:
 def of_written_forces(scene: Scene) -> Iterator[str]:
     """Find gains, defaults or written ones, that need more than the legs have, where nothing limits the forces.
 
-    A weight that the legs do not carry has its own sentence.
+    A true weight that the legs do not carry at home has its own sentence.
     """
     if scene.scenario.actuators.saturation:
         return
     forces, limit = start_forces(scene), scene.scenario.robot.force_limit
-    if not np.abs(forces.weight).max() <= limit < forces.needed.max():
+    if not _carries_at_home(scene) or not limit < forces.needed.max():
         return
     key = f"controller.{scene.scenario.controller.law}"
     if cause := _cause(scene):
         remedy = f"{cause} it is enough"
+    elif weight := of_weight(scene, forces):
+        remedy = weight
     elif np.abs(forces.weight + forces.law).max() <= limit:
         remedy = "take lower gains, or less noise of the camera and the joint sensors"
     else:
@@ -113,6 +115,27 @@ def start_forces(scene: Scene) -> StartForces:
     up, down = np.split(whole[1:], 2)
     deviation = np.linalg.norm((up - down) / (2.0 * _DEVIATIONS), axis=0)
     return StartForces(weight, np.nan_to_num(whole[0] - weight), np.nan_to_num(deviation))
+
+
+def of_weight(scene: Scene, forces: StartForces) -> str:
+    """Return how much the assumed weight takes, and a remedy, as a clause; empty where the legs have it."""
+    effort, limit = scene.units.effort, scene.scenario.robot.force_limit
+    leg = int(np.abs(forces.weight).argmax())
+    assumed, true = (float(abs(of[leg])) for of in (forces.weight, scene.resting_forces(scene.start)))
+    if assumed <= limit:
+        return ""
+    unit, scale = shown_unit(assumed, effort)  # of the larger one
+    takes = f"alone takes {apart(assumed * scale, limit * scale, 3)[0]} {unit} of leg {leg + 1}"
+    if true > limit:
+        return f"the weight {takes} there: take stronger legs{', or another start' if _carries_at_home(scene) else ''}"
+    return (
+        f"the weight that the law assumes {takes}, the true one {quantity(true, effort)} (uncertainty.gravity): take "
+        "stronger legs, or a robot.mass nearer to the true one"
+    )
+
+
+def _carries_at_home(scene: Scene) -> bool:
+    return bool(np.abs(scene.resting_forces(scene.home)).max() <= scene.scenario.robot.force_limit)
 
 
 def _noisy(scene: Scene, coordinates: int) -> tuple[Array, Array, Array]:

@@ -12,10 +12,10 @@ from hexservo.findings.analysis.motor_rest import BEGINS
 from hexservo.findings.analysis.reach import nearest_limit
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.analysis.words import AXES
-from hexservo.findings.check_forces import of_fitted_forces, of_written_forces, start_forces
+from hexservo.findings.check_forces import of_fitted_forces, of_weight, of_written_forces, start_forces
 from hexservo.findings.coupling import SHARE, causes_of_products, has_products, noise_at_rest, settling
 from hexservo.findings.leg_feedback import OF_MARGIN, feedback_margin, integral_margin
-from hexservo.findings.prior import largest_share, left_by_inverse, share_of_prior
+from hexservo.findings.prior import balance_of_prior, largest_share, left_by_inverse, share_of_prior
 from hexservo.findings.target_path import follows_direction
 from hexservo.scenario.default_gains import is_far, misfit, platform_of_defaults
 from hexservo.scenario.fitted import Machine, auto_of, chosen_keys, fitted_keys, idle_gains
@@ -263,10 +263,12 @@ def _of_delay(scenario: Scenario, key: str, bandwidth: float, damping: float) ->
 
 
 def _of_forces(scene: Scene, key: str) -> Iterator[str]:
-    weight, limit = start_forces(scene).weight, scene.scenario.robot.force_limit
-    if np.abs(weight).max() > limit:
+    forces, limit = start_forces(scene), scene.scenario.robot.force_limit
+    if np.abs(forces.weight).max() > limit:
         legs = quantity(limit, scene.units.effort)
-        yield f"{key} fits no better than any other: the legs' {legs} do not carry the weight"
+        yield (
+            f"{key} fits no better than any other: the legs' {legs} do not carry the weight; {of_weight(scene, forces)}"
+        )
     elif _has_fitted_motion(scene.scenario):
         yield from of_fitted_forces(scene, key)
     else:  # then the wrench does not follow the bandwidth
@@ -393,12 +395,11 @@ def _of_pull(scene: Scene) -> Iterator[str]:
     machine = scene.machine
     if share_of_prior(scene, machine) <= 1.0:
         return
-    left = left_by_inverse(scene, machine)
-    pixels = np.abs(machine.jacobian @ left)[machine.weights > 0.0].max()
+    left, pixels = balance_of_prior(scene, machine)
     shift, turn = (float(np.linalg.norm(part)) for part in np.split(left, 2))
     yield (
         f"controller.{law}.prior: the start is nearer to the goal image than where the image and the pull towards home "
-        f"balance, with {number(float(pixels))} px and {quantity(shift, 'm')} and {quantity(turn, 'rad')} from the "
+        f"balance, with {number(pixels)} px and {quantity(shift, 'm')} and {quantity(turn, 'rad')} from the "
         f"goal; the run goes there{_less_left(scene, f'controller.{law}')}"
     )
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from hexservo.findings.analysis.scene import Scene
-from hexservo.findings.prior import left_by_inverse
+from hexservo.findings.prior import balance_of_prior, left_by_inverse
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.wording import number, quantity
 
@@ -25,11 +25,11 @@ def of_prior(scene: Scene) -> Iterator[str]:
     if not (traits.prior and traits.inverse and scene.has_points) or scene.moving_target:
         return
     machine = scene.machine
-    left = left_by_inverse(scene, machine)
-    way = scene.levers * machine.displacement
-    if not np.linalg.norm(scene.levers * left) > _LEFT * np.linalg.norm(way):  # NaN: no goal pose
+    if not np.isfinite(left_by_inverse(scene, machine)).all():  # no pose shows the goal image
         return
-    pixels = float(np.abs(machine.jacobian @ left)[machine.weights > 0.0].max())
+    left, pixels = balance_of_prior(scene, machine)
+    if np.linalg.norm(scene.levers * left) <= _LEFT * np.linalg.norm(scene.levers * machine.displacement):
+        return
     yield (
         f"controller.{law}.prior: its pull towards home and the image balance {_in_words(left, scene)} from the goal "
         f"pose, which is {_in_words(machine.displacement, scene)} from home, with {number(pixels, 2)} px of image "

@@ -1,16 +1,18 @@
-"""What an inverse of the image Jacobian with a prior, or a damping, makes of the pose error, to first order.
+"""What an inverse of the image Jacobian with a prior, or a damping, makes of the pose error.
 
-What it leaves out of it, and what noise of the image it adds.
+What it leaves out of it, to first order and where the law rests, and what noise of the image it adds, to first order.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from hexservo import _core
 from hexservo.findings.analysis.image_estimate import estimate_of_image
+from hexservo.findings.analysis.rest import Rest
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.target_path import follows_direction
 from hexservo.scenario.arrays import Array
@@ -45,6 +47,32 @@ def left_by_inverse(scene: Scene, machine: Machine) -> Array:
     except np.linalg.LinAlgError:
         return np.full(6, np.nan)
     return np.asarray(left)
+
+
+class Balance(NamedTuple):
+    """Where the image and the pull of a prior towards home balance."""
+
+    left: Array  # (6,) from the goal pose [m; rad]
+    pixels: float  # [px], largest feature error there of a point that counts
+
+
+def balance_of_prior(scene: Scene, machine: Machine) -> Balance:
+    """Find where the law rests with exact depths and weight: between home and a goal that a pose shows.
+
+    By Newton's method: where the pose error that drives fuzzy systems vanishes, or without these the sum of the
+    springs. Where it finds no such pose, to first order (`left_by_inverse`).
+    """
+    controller, counted = scene.scenario.controller, machine.weights > 0.0
+    rest = Rest(scene.scenario)
+    adapts = controller.traits.memory and controller.gains.fuzzy.enabled
+    of = rest.pose_error if adapts else rest.spring
+    first = left_by_inverse(scene, machine)
+    goal = scene.home.moved(machine.displacement)
+    poses, settled = rest.settled(goal.moved(-first).rows, of=lambda poses: of(poses, exact_depth=True))
+    if not settled.all():
+        return Balance(first, float(np.abs(machine.jacobian @ first)[counted].max()))
+    error = scene.desired - rest.image(poses)[0][0]
+    return Balance(goal.displacement_from(poses[0]), float(np.abs(error)[counted].max()))
 
 
 def share_of_prior(scene: Scene, machine: Machine) -> float:

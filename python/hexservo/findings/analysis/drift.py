@@ -76,14 +76,32 @@ def analyse(scenario: Scenario) -> Drift:
     ValueError
         For a scenario that the core refuses.
     """
+    if reason := _open_because(scenario):
+        return Drift(scenario.controller.law, reason)
+    return _Worker(scenario).drift()
+
+
+def slowest_rate(scenario: Scenario) -> float:
+    """Return the smallest real part at start and goal of the rates with the scenario's own depth errors [1/s].
+
+    Where it is negative a pose error grows there. NaN where the analysis does not apply.
+    """
+    if _open_because(scenario):
+        return np.nan
+    worker, own = _Worker(scenario), np.broadcast_to(scenario.uncertainty.depth, (1, _POINTS))
+    return np.nan if worker.springs == 6 else worker.patterns(own)[0].slowest
+
+
+def _open_because(scenario: Scenario) -> str:
+    """Return why a scenario is not analysed; empty if it is."""
     law = scenario.controller.law
     if reason := not_analysed(scenario, _not_for(scenario), any_body=True):
-        return Drift(law, reason)
+        return reason
     if getattr(scenario.controller.gains, "jacobian_at", "current") != "current":
-        return Drift(law, f"{law} with a Jacobian of the goal: not analysed, since no depth of an image enters.")
+        return f"{law} with a Jacobian of the goal: not analysed, since no depth of an image enters."
     if scenario.controller.jacobian == "printed":
-        return Drift(law, "With the printed sign of the Jacobian every feature moves away from its goal: not analysed.")
-    return _Worker(scenario).drift()
+        return "With the printed sign of the Jacobian every feature moves away from its goal: not analysed."
+    return ""
 
 
 def _not_for(scenario: Scenario) -> str:

@@ -22,6 +22,7 @@ from hexservo.run.goal_distance import inexact
 from hexservo.run.leg_limits import LimitUse
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.keys import value_at
+from hexservo.scenario.noise import is_random
 from hexservo.scenario.pixels import points_outside, to_pixels
 from hexservo.scenario.scenario import Scenario
 
@@ -96,6 +97,10 @@ class LargestStart(Part):
     assumed: str = ""  # what the runs with camera times assume beside the scenario
     from_home: bool = False  # the scenario's own start is not home at rest, from which all runs start
     durations: Mapping[float, int] = field(default_factory=dict)  # number of runs of each duration [s]
+    is_random: bool = False  # a longer run may leave the band again by noise, outliers or lost frames
+    whole_duration: float = 0.0  # [s], of the longest run of the task itself, from home: as a rule the scenario's own
+    whole_settling: float = np.nan  # [s], its settling time; NaN: it does not settle
+    whole_beyond: LimitUse | None = None  # the limit of the legs for which alone it does not
 
     @property
     def own(self) -> Direction | None:
@@ -147,6 +152,10 @@ def analyse(scenario: Scenario) -> LargestStart:
         assumed,
         any(np.any(np.asarray(value_at(scenario, key))) for key in AT_HOME),
         dict(sorted(trial.durations.items())),
+        is_random(scenario),
+        trial.whole_duration,
+        trial.whole_settling,
+        trial.whole_beyond,
     )
 
 

@@ -13,7 +13,7 @@ from hexservo.findings.analysis.largest_times import Timing
 from hexservo.findings.analysis.words import finite, in_ms, number, open_section
 from hexservo.findings.evidence import Column, Curves, Item, Line, Section, Table, Verdict, picked
 from hexservo.scenario.laws import LAWS
-from hexservo.scenario.wording import apart
+from hexservo.scenario.wording import above, apart
 
 PAGE = "docs/analysis/largest_start.md"
 
@@ -51,7 +51,7 @@ def _verdict(found: LargestStart) -> Verdict:
     own = found.own
     if own is None or found.is_cut:
         return "open"
-    if not own.tried.get(1.0, False):
+    if not own.tried.get(1.0, False) or (_leaves_again(found) and not np.isfinite(found.whole_settling)):
         return "bad"
     ends = [size for size in (own.fails_at, own.overloaded_from) if size is not None]
     return "warning" if ends and min(ends) < _MARGIN else "good"
@@ -75,23 +75,24 @@ def _sentences(found: LargestStart) -> list[str]:
         )
     elif own.fails_at is None:
         words.append(
-            f"In all runs in the direction of the task the error settles within {found.duration:g} s and {_WITHIN}, "
+            f"In all runs in the direction of the task the error settles {_within_limits(found)}, "
             f"up to {own.largest:.3g} times the task ({_amount(own, own.largest)}), "
             f"the largest that {_LIMITS[own.limited_by]} (empirical)."
         )
     elif own.settles_to == 0.0:
         words.append(
-            f"In the direction of the task no error was found that settles within {found.duration:g} s: the "
+            f"In the direction of the task no error was found that settles {_within(found, found.duration)}: the "
             f"smallest that was tried, {own.fails_at:.3g} times the task ({_amount(own, own.fails_at)}), already "
             f"fails{_in_brackets(_by_seeds(found, own))} (empirical)."
         )
     else:
         factors = apart(own.settles_to, own.fails_at, 3)
         words.append(
-            f"In the direction of the task errors settle within {found.duration:g} s and {_WITHIN} up to "
+            f"In the direction of the task errors settle {_within_limits(found)} up to "
             f"{factors[0]} times the task ({_amount(own, own.settles_to)}, {own.error:.3g} px); "
             f"{factors[1]} times {_failure(found, own)}{_in_brackets(_by_seeds(found, own))} (empirical)."
         )
+    words += _of_whole_run(found)
     words.append(_others(found))
     words += _timing_words(found) or [_not_settled(found)]
     words += _force_words(found)
@@ -101,7 +102,41 @@ def _sentences(found: LargestStart) -> list[str]:
         "that were run are not covered, and a limit need not be the only one"
         + (f" (along {', '.join(again)} a larger error settles again)." if again else ".")
     )
+    if found.is_random:
+        words.append(
+            f"What settles is within {found.band:g} px in the last {found.dwell:g} s of its run: by noise, outliers or "
+            "lost frames a longer one may leave the band again."
+        )
     return words
+
+
+def _within(found: LargestStart, duration: float) -> str:
+    """Return in which time something settles: where runs are random, a longer one may leave the band again."""
+    return f"{'in runs of' if found.is_random else 'within'} {duration:g} s"
+
+
+def _within_limits(found: LargestStart) -> str:
+    return f"{_within(found, found.duration)}{', within' if found.is_random else ' and'} {_WITHIN}"
+
+
+def _leaves_again(found: LargestStart) -> bool:
+    """Return whether the task itself settles in the runs of all others, and leaves the band or the limits later."""
+    settles = bool(found.timings)  # else these were not tried
+    return settles and found.whole_duration > found.duration and not found.whole_settling <= found.duration
+
+
+def _of_whole_run(found: LargestStart) -> list[str]:
+    """Return what the scenario's own duration has of the task that the shorter runs do not."""
+    if not _leaves_again(found):
+        return []
+    whole = f"in a run of {found.whole_duration:g} s"
+    if np.isfinite(found.whole_settling):
+        later = f" and leaves the band again: {whole} it is settled after {above(found.whole_settling)} s"
+    elif found.whole_beyond is not None:
+        later = f", but {whole} {found.whole_beyond.excess}"
+    else:
+        later = f", but not {whole}"
+    return [f"{_task(found)} settles within {found.duration:g} s{later}."]
 
 
 def _of_durations(found: LargestStart) -> str:
@@ -136,8 +171,8 @@ def _others(found: LargestStart) -> str:
             else f"The other direction, {others[0].name}:"
         )
         return (
-            f"{along} every goal tried settles within {found.duration:g} s and "
-            f"{_WITHIN}, up to those limits, or those of the camera or of the region searched."
+            f"{along} every goal tried settles {_within_limits(found)}, up to those limits, or those of the camera or "
+            "of the region searched."
         )
     worst = min(failing, key=lambda d: d.settles_to / d.largest)
     settles, fails = border_words(worst)
@@ -147,7 +182,7 @@ def _others(found: LargestStart) -> str:
         of = f"Of {len(others)} axes and rotations {len(failing)} {'has' if len(failing) == 1 else 'have'}"
     the_worst = "" if len(others) == 1 else f"; the worst is {worst.name}"
     return (
-        f"{of} goals that do not settle within {found.duration:g} s{the_worst}: "
+        f"{of} goals that do not settle {_within(found, found.duration)}{the_worst}: "
         + (f"up to {settles} settle" if worst.settles_to else "none that was tried settles")
         + f", {fails} {_failure(found, worst)}{_in_brackets(_by_seeds(found, worst))}, of "
         f"{_amount(worst, worst.largest)} that were possible."
@@ -195,7 +230,7 @@ def _timing_words(found: LargestStart) -> list[str]:
         for t in (t for t in found.timings if t.prediction == prediction):
             other = "latency" if t.what == "period" else "period"
             held = f"at a {other} of {1e3 * t.other:.3g} ms"
-            within = f"settles within {found.duration:g} s {held}"
+            within = f"settles {_within(found, found.duration)} {held}"
             if t.settles_to is None and not any(t.tried.values()):
                 later = "" if t.settles_later is None else f" ({in_ms(t.fails_at or 0.0)} {_failure(found, t)})"
                 parts.append(f"no {t.what} that was tried {within}{later}")
@@ -213,9 +248,11 @@ def _timing_words(found: LargestStart) -> list[str]:
                 )
             if t.fails_below is not None:
                 parts[-1] += (
-                    f" (one of {in_ms(t.fails_below)}, below the scenario's own, does not within {found.duration:g} s)"
+                    f" (one of {in_ms(t.fails_below)}, below the scenario's own, does not "
+                    f"{_within(found, found.duration)})"
                 )
-        words.append(f"{_task(found)} {found.assumed}{_prediction(found, prediction)}: {'; '.join(parts)}.")
+        task = _task(found).removesuffix(",")
+        words.append(f"{task}, {found.assumed}{_prediction(found, prediction)}: {'; '.join(parts)}.")
     return words
 
 
@@ -245,7 +282,7 @@ def _task(found: LargestStart) -> str:
     """Return what the runs with the task's own goal are: all start at home."""
     if found.from_home:
         return "The task's goal, from home at rest instead of the task's own start (simulation.start),"
-    return "The task itself," if found.timings else "The task itself"
+    return "The task itself"
 
 
 def _failure(found: LargestStart, tried: Direction | Timing) -> str:
@@ -254,7 +291,7 @@ def _failure(found: LargestStart, tried: Direction | Timing) -> str:
         return tried.beyond[tried.fails_at].excess
     if tried.settles_later is None:
         return "does not"
-    later = f"within {found.longer:g} s"
+    later = _within(found, found.longer)
     return f"is slower, but settles {later}" if tried.settles_later else f"does not settle {later}"
 
 
@@ -342,6 +379,8 @@ def _data(found: LargestStart) -> dict[str, Any]:
         "empirical": True,
         **picked(found, "law duration"),
         "longer_duration": found.longer or None,
+        "task_duration": found.whole_duration,
+        "task_settling_time": found.whole_settling,
         "runs": found.runs,
         "directions": [
             {

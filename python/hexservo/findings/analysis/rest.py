@@ -108,7 +108,7 @@ class Rest(Scene):
         """Return the wrench that is left of a platform at rest, (..., 6) in B [N; N m]; its zeros are equilibria."""
         return np.asarray(self.spring(poses) + self.gravity_error)
 
-    def pose_error(self, poses: Poses) -> Array:
+    def pose_error(self, poses: Poses, *, exact_depth: bool = False) -> Array:
         """Return the pose error that the law regulates, (..., 6) in B [m; rad]; NaN where not all points are in view.
 
         Of a law with `_core.LawTraits.pose_error`.
@@ -118,7 +118,7 @@ class Rest(Scene):
             assert law.pose_error is not None
             return law.pose_error
 
-        return self._of_law(error, poses)
+        return self._of_law(error, poses, exact_depth=exact_depth)
 
     def acceleration(self, poses: Poses, twist: Array | None = None) -> Array:
         """Return chi-ddot of the plant under the law, (..., 6) [m/s^2; rad/s^2], at rest or at twists (..., 6) in B.

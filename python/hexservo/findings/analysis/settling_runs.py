@@ -69,6 +69,11 @@ class SettlingRuns:
         How many runs there were of each duration [s].
     task_settles
         Whether the task itself settles, in a run of up to `task_duration` [s].
+    whole_duration, whole_settling
+        [s], of the longest run of the task itself, as long as the scenario's own if that is not too many steps, and its
+        settling time; NaN: it does not settle.
+    whole_beyond
+        Limit of the legs for which alone it does not; None: for none.
     is_cut
         Whether it does not, and this is shorter than the scenario's own duration.
     """
@@ -87,6 +92,12 @@ class SettlingRuns:
             if np.isfinite(settling):
                 self.duration = duration
                 break
+        # What acts later than the short duration, such as an outlier, may take the task out of the band again.
+        self.whole_duration = max(duration, min(own, _STEPS * step))
+        self.whole_settling, self.whole_beyond = settling, None
+        if self.whole_duration > duration:
+            whole_run = self._task(self.whole_duration)
+            self.whole_settling, self.whole_beyond = _time_of(whole_run), whole_run.beyond[0]
         self.task_settles = bool(np.isfinite(settling))
         if self.duration > self.longer:
             enough = _whole(_ENOUGH * (settling + dwell), step)
@@ -118,9 +129,11 @@ class SettlingRuns:
 
     def _settling(self, duration: float) -> float:
         """Run the task for a duration and return its settling time [s]; NaN: it does not settle within the limits."""
+        return _time_of(self._task(duration))
+
+    def _task(self, duration: float) -> Ends:
         task = self.scenario.updated({"simulation.duration": duration})
-        ends = self.ends({"target.desired_features": np.array([task.target.desired_features])}, task)
-        return float(ends.times[0]) if ends.settled[0] else np.nan
+        return self.ends({"target.desired_features": np.array([task.target.desired_features])}, task)
 
     def ends(self, variations: Mapping[str, Array], scenario: Scenario | None = None) -> Ends:
         """Run each variation and return how it ends.
@@ -157,6 +170,11 @@ class SettlingRuns:
                     overloads[row] = overload(base, found) if in_image[k] else None
             break
         return Ends(settled, times, beyond, overloads, ran)
+
+
+def _time_of(ends: Ends) -> float:
+    """Return the settling time of the first run [s]; NaN: it does not settle within the limits."""
+    return float(ends.times[0]) if ends.settled[0] else np.nan
 
 
 def _whole(duration: float, step: float) -> float:

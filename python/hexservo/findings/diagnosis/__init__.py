@@ -5,11 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
+
 from hexservo.findings.diagnosis.causes import CAUSES
 from hexservo.findings.diagnosis.criterion import Judgement, Record
 from hexservo.findings.diagnosis.environment import faultless
 from hexservo.findings.diagnosis.evidence import OF_THE_SCENARIO, Signature, signature_of
 from hexservo.findings.diagnosis.findings import Diagnosis, Finding, Remedy
+from hexservo.findings.diagnosis.gains import by_bandwidth
+from hexservo.findings.diagnosis.growth import growth_time
 from hexservo.findings.diagnosis.model import Case, Removal
 from hexservo.findings.diagnosis.ranking import Trial, judged, make_cases, pairs, rank, study
 from hexservo.findings.diagnosis.runs import Run, record_of, run_all
@@ -126,15 +130,17 @@ def _remedies(case: Case, trials: list[Trial]) -> dict[str, Remedy]:
 
 def _as_remedy(case: Case, removal: Removal, record: Record, after: Judgement) -> Remedy:
     band = float(removal.changes.get("metrics.band", case.scenario.metrics.band))
+    drifts = not after.failed and np.ptp(case.scenario.uncertainty.depth) > 0.0
     return Remedy(
         removal.words,
-        dict(removal.changes),
+        by_bandwidth(case.scenario, removal.changes),
         not after.failed,
         record.outcome,
         after.error * band,
         record.metrics["peak_leg_excursion"],
         record.drift,
         record.metrics["settling_time"] if record.settled else math.nan,
+        growth_time(case.scenario.updated(removal.changes)) if drifts else math.nan,
     )
 
 

@@ -46,6 +46,7 @@ _AT_GATE = frozenset(  # what a gate compares, and when that counts
         *("target.motion.kind", "camera.dropout"),
     }
 )
+_DEPTH_DIGITS = 6  # of a mean depth error
 _ENCODERS = frozenset({"sensors.pose", "sensors.rate", "sensors.period"})
 
 
@@ -176,34 +177,38 @@ def _calibration(case: Case) -> list[Removal]:
     return removal_by("an exact calibration of the camera", changes)
 
 
+def _mean_depth_error(case: Case) -> float:
+    """Return the mean of the depth errors, without what is only rounding of their sum."""
+    return round(float(np.mean(case.scenario.uncertainty.depth)), _DEPTH_DIGITS) + 0.0  # not -0
+
+
 def _unequal_depth(case: Case) -> list[Removal]:
     errors = np.asarray(case.scenario.uncertainty.depth, dtype=float)
     if errors.ndim == 0 or not np.ptp(errors):
         return []
-    mean = float(errors.mean())
+    mean = _mean_depth_error(case)
     return [Removal(f"the same depth error of {mean:.3g} for all points", {"uncertainty.depth": mean})]
 
 
 def _unequal_depth_alone(case: Case) -> list[Alone]:
     without = ideal(case.scenario)
     errors = np.asarray(case.scenario.uncertainty.depth, dtype=float)
-    mean = {**without, "uncertainty.depth": float(errors.mean())}
+    mean = {**without, "uncertainty.depth": _mean_depth_error(case)}
     return [Alone(mean, {**without, "uncertainty.depth": errors.tolist()})]
 
 
 def _common_depth(case: Case) -> list[Removal]:
     errors = np.asarray(case.scenario.uncertainty.depth, dtype=float)
-    mean = float(errors.mean())
+    mean = _mean_depth_error(case)
     if mean == 0.0:
         return []
-    rest = 0.0 if errors.ndim == 0 else (errors - mean).tolist()
+    rest = 0.0 if errors.ndim == 0 else (np.round(errors - mean, _DEPTH_DIGITS) + 0.0).tolist()
     return [Removal("depths whose errors have the mean zero", {"uncertainty.depth": rest})]
 
 
 def _common_depth_alone(case: Case) -> list[Alone]:
     without = ideal(case.scenario)
-    mean = float(np.mean(case.scenario.uncertainty.depth))
-    return [Alone({**without, "uncertainty.depth": 0.0}, {**without, "uncertainty.depth": mean})]
+    return [Alone({**without, "uncertainty.depth": 0.0}, {**without, "uncertainty.depth": _mean_depth_error(case)})]
 
 
 # ---- The list -------------------------------------------------------------------------------------------------------

@@ -27,6 +27,9 @@ class Remedy:
     leg_travel: float  # of that run: largest travel of a leg [m]
     drift: float  # of that run: of the leg that moves fastest at its end [m/s]
     settling_time: float  # of that run [s]; NaN where it does not settle
+    # [s], in which a pose error grows e-fold by unequal depth errors where the run passes, as in a longer one
+    # (`growth_time`); NaN: it does not
+    grows_in: float
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
 from hexservo import _core
 from hexservo.findings.diagnosis.size import size_of
-from hexservo.scenario.fitted import idle_gains, machine_of, target_filter
+from hexservo.scenario.fitted import auto_of, fitted_keys, idle_gains, machine_of, target_filter
 from hexservo.scenario.keys import default_of, keys_below, value_at
 from hexservo.scenario.scenario import Scenario
 
@@ -28,6 +28,7 @@ _POWERS = {
     "bandwidth": 1.0,
 }
 _FUZZY_POWERS = {"adaptation": -2.0, "initial_scale": 2.0, "weight_limit": 2.0, "leakage": 1.0, "dead_zone": 1.0}
+_ALIKE = 1e-9  # relative, of two gains that are the same but for rounding
 _STIFFNESS, _DAMPING = ("kp", "kt", "gain", "gain_far", "bandwidth"), ("kd", "ki", "kv")
 GAIN_KEYS = frozenset(f"LAW.{name}" for name in (*_POWERS, "adaptive") if name != "kv") | {
     "LAW.fuzzy.adaptation",
@@ -54,6 +55,33 @@ def slower(scenario: Scenario, factor: float) -> dict[str, Any]:
         powers |= {"rate_scale": -1.0} if scenario.controller.traits.pose_error else forces
         changes |= _scaled(f"controller.{law}.fuzzy", block.fuzzy, powers, rate)
     return changes
+
+
+def by_bandwidth(scenario: Scenario, changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the bandwidth that gains follow, in place of changes by `slower` that it makes as well."""
+    head, auto = f"controller.{scenario.controller.law}", auto_of(scenario)
+    scaled = next((name for name in _POWERS if np.any(changes.get(f"{head}.{name}", 0.0))), None)
+    if auto.bandwidth is None or scaled is None:
+        return dict(changes)
+    own, wanted = (np.abs(of).max() for of in (value_at(scenario, f"{head}.{scaled}"), changes[f"{head}.{scaled}"]))
+    if own == 0.0:
+        return dict(changes)
+    bandwidth = auto.bandwidth * float(wanted / own) ** (1.0 / _POWERS[scaled])
+    one = {f"{head}.auto.bandwidth": float(f"{bandwidth:.12g}")}
+    try:
+        followed, written = scenario.updated(one), scenario.updated(changes)
+    except ValueError:  # of gains that the scenario refuses
+        return dict(changes)
+    keys = {*changes, *(f"{head}.{path}" for path in fitted_keys(scenario.controller.law))}
+    same = all(_alike(value_at(followed, key), value_at(written, key)) for key in keys)
+    return one if same else dict(changes)
+
+
+def _alike(one: Any, other: Any) -> bool:
+    try:
+        return bool(np.allclose(one, other, rtol=_ALIKE, atol=0.0))
+    except (TypeError, ValueError):  # no numbers, or not as many
+        return bool(one == other)
 
 
 def damped(scenario: Scenario, factor: float) -> dict[str, Any]:

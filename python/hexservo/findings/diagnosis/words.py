@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.diagnosis.criterion import DRIFT_TIME, Judgement, Record
 from hexservo.findings.diagnosis.findings import Finding, Remedy
+from hexservo.findings.diagnosis.growth import growth_time
 from hexservo.run.leg_limits import LimitUse, limits_of_motion
 from hexservo.run.result import Result
 from hexservo.run.summary import image_sentences
@@ -21,9 +23,14 @@ _SHOWN_DRIFT = 0.2  # of the drift that is allowed: a slower one is not reported
 
 def how(run: Remedy, scenario: Scenario) -> str:
     """Return the outcome of a run as a clause."""
-    return f"{'passes' if run.works else 'still fails'}: it " + ends(
-        run.outcome, run.error, run.leg_travel, run.drift, scenario
-    )
+    ending = ends(run.outcome, run.error, run.leg_travel, run.drift, scenario)
+    longer = "" if math.isnan(run.grows_in) else f"; in a longer one {_growth(run.grows_in)}"
+    return f"{'passes' if run.works else 'still fails'}: it {ending}{longer}"
+
+
+def _growth(time: float) -> str:
+    cause = "by unequal depth errors (the part drift of hexservo analyse)"
+    return f"the pose error grows e-fold in {number(time)} s {cause}"
 
 
 def spelt(outcome: str) -> str:
@@ -113,6 +120,8 @@ def warnings_of(result: Result, judgement: Judgement) -> tuple[str, ...]:
         ):
             if ratio > _NEAR:
                 found.append(f"Near failing: {what} is {percent_used(ratio)} of what is allowed.")
+        if result.by_law and not math.isnan(time := growth_time(result.scenario)):
+            found.append(f"In a longer run {_growth(time)}.")
         found += image_sentences(result)
     for event in result.events:
         if event.kind == "force" and not judgement.failed:  # of a failed run it is a symptom
