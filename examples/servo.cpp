@@ -3,19 +3,21 @@
 // Camera, joint sensors and legs are simulated here by `Robot`; its two functions are what a real program would
 // replace. gains.hpp is written by `hexservo export SCENARIO --header gains.hpp` and found in the folders that the
 // compiler is given (-I, or GAINS of CMakeLists.txt); the one beside this file is the paper's. The header of any
-// machine that takes forces will do, whatever number of points its target has. One that takes positions is commanded
-// `leg_positions` in place of `leg_forces` (docs/position-machines.md).
+// machine will do, whatever number of points its target has: drives that take forces are commanded `leg_forces`, those
+// that take positions `leg_positions` (docs/position-machines.md).
 //
 //   servo [SECONDS]    how long to run, 1 s if not given; exit code 0 if the features settle at their goal
 #include <gains.hpp>
 
 #include <hexservo/controller.hpp>
+#include <hexservo/position_actuators.hpp>
 #include <hexservo/runge_kutta.hpp>
 
 #include <algorithm>
 #include <chrono>
 #include <cstdio>
 #include <cstdlib>
+#include <optional>
 #include <thread>
 
 namespace {
@@ -24,19 +26,24 @@ namespace exported = HEXSERVO_GAINS;
 using exported::Law;
 using hexservo::ControllerOutput;
 
-/// The scenario's robot, with errors: inertia and depths are not what the controller estimates.
+/// The scenario's robot, with errors: inertia and depths are not what the controller estimates. Drives that take
+/// positions follow them by the response and the delay of the scenario, whatever the inertia.
 /// @tparam N places for points, those of the header's gains
 template <int N>
 class Robot {
  public:
   explicit Robot(const hexservo::ControllerGains<Law, N>& gains)
       : gains_(gains),
-        points_B_(hexservo::loop_parameters<Law, N>(exported::settings()).points_T),
+        parameters_(hexservo::loop_parameters<Law, N>(exported::settings())),
+        points_B_(parameters_.points_T),
         plant_(gains.task.body, errors()),
         body_(hexservo::BodyMotion<double>::at_rest(hexservo::home_pose(gains.hexapod))),
         camera_(gains.frames, {}),
         encoders_(gains.encoders, {}) {
     depth_error_.setConstant(0.3);
+    if (!gains.motion.acts) return;
+    parameters_.actuators.leg_steps = hexservo::leg_steps(parameters_.actuators.position, gains.period);
+    drives_.emplace(parameters_.actuators, gains.period, legs(body_).lengths, hexservo::Vector6<double>::Zero());
   }
 
   /// What camera and joint sensors give at a tick; a frame arrives with the latency of the scenario.
@@ -57,7 +64,19 @@ class Robot {
     return input;
   }
 
-  /// The legs push with these forces [N] for a period.
+  /// The drives do for a period what the controller commands: they push, or go to positions.
+  void command(const ControllerOutput& output) {
+    if (drives_)
+      go_to(output.leg_positions);
+    else
+      push(output.leg_forces);
+  }
+
+  /// Largest true feature error [px].
+  double error() const { return (gains_.desired_features - image().features).cwiseAbs().maxCoeff(); }
+
+ private:
+  /// The legs push with these forces [N].
   void push(const hexservo::Vector6<double>& leg_forces) {
     hexservo::runge_kutta_step(gains_.period, body_, [&](const hexservo::BodyMotion<double>& body) {
       return hexservo::body_rate(plant_, body, attitude(body), legs(body).wrench(leg_forces));
@@ -65,10 +84,17 @@ class Robot {
     hexservo::normalise_quaternion(body_);
   }
 
-  /// Largest true feature error [px].
-  double error() const { return (gains_.desired_features - image().features).cwiseAbs().maxCoeff(); }
+  /// The legs go towards these lengths [m], or angles of cranks [rad], and the platform follows.
+  void go_to(const hexservo::Vector6<double>& leg_positions) {
+    if (!leg_positions.allFinite()) return;  // before the joints have been read once
+    drives_->command(leg_positions);
+    drives_->advance();
+    const hexservo::Pose<double> before{hexservo::position_of(body_), hexservo::quaternion_of(body_)};
+    const auto found = hexservo::forward_kinematics(gains_.legs, drives_->positions(), before);
+    const hexservo::WrenchMapSolver<double> solver(gains_.legs, found.legs);
+    body_ = hexservo::BodyMotion<double>::of(hexservo::body_state<double>(found.pose, solver.twist(drives_->rates())));
+  }
 
- private:
   static hexservo::DynamicsError<double> errors() {
     hexservo::DynamicsError<double> errors;
     errors.inertia.setConstant(0.075);
@@ -87,10 +113,12 @@ class Robot {
   }
 
   const hexservo::ControllerGains<Law, N>& gains_;
+  hexservo::LoopParameters<double, Law, N> parameters_;
   Eigen::Matrix<double, 3, N> points_B_;
   hexservo::Plant<double> plant_;
   hexservo::Vector<double, N> depth_error_;
   hexservo::BodyMotion<double> body_;
+  std::optional<hexservo::PositionedLegs<double>> drives_;  ///< where they take positions
   hexservo::Frames<double, N> camera_;
   hexservo::Frame<double, N> frame_;
   hexservo::Encoders<double> encoders_;
@@ -108,12 +136,6 @@ int main(int argc, char** argv) {
 
   std::printf("gains of the scenario \"%s\"\n", exported::scenario_name);
   const auto gains = exported::controller_gains();  // may throw: before the loop, never in it
-  if (gains.motion.acts) {
-    std::fprintf(stderr,
-                 "servo: expected gains of a machine that takes forces, as the simulated legs here do, "
-                 "got those of one that takes positions\n");
-    return 2;
-  }
   auto state = hexservo::initial_state(gains);  // takes the memory that the ticks need
   Robot robot(gains);
   const auto settling = exported::settings().metrics;
@@ -129,7 +151,7 @@ int main(int argc, char** argv) {
     const Clock::time_point before = Clock::now();
     const ControllerOutput output = hexservo::step(gains, state, input);
     slowest = std::max(slowest, Clock::now() - before);
-    robot.push(output.leg_forces);
+    robot.command(output);
 
     invalid += output.invalid_input() ? 1 : 0;
     if (!(robot.error() <= settling.band)) within_since = static_cast<double>(tick + 1) * gains.period;

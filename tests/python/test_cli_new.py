@@ -255,6 +255,32 @@ def test_frames_are_not_taken_for_more_frequent_than_they_are(
     assert hs.load_scenario(file).camera.period == pytest.approx(taken)
 
 
+@pytest.mark.parametrize(("frames", "commands"), [("90", 90), ("30", 60), ("25", 50), ("29.97", 59.94), ("120", 120)])
+def test_the_commands_in_brackets_keep_the_frame_rate(tmp_path: Path, frames: str, commands: float) -> None:
+    """The least multiple of it that is at least 50 a second; other commands make the frames slower, and are told so."""
+    file = tmp_path / "mine.yaml"
+    done = answered(file, positions(p20=frames))
+    assert done.exit_code == 0, done.output
+    assert f"Commands a second [1/s] [{commands:g}]" in done.output
+    assert "before rounding) after" not in done.output
+    assert "would keep it" not in done.output
+    scenario = hs.load_scenario(file)
+    assert scenario.simulation.step == pytest.approx(1 / commands, rel=1e-12)
+    assert scenario.camera.period == pytest.approx(1 / float(frames), rel=1e-12)
+    slower = answered(file, positions(f"{0.8 * commands:g}", p20=frames), "--force")
+    assert f"A multiple of the frame rate, such as {commands:g} commands a second, would keep it." in slower.output
+
+
+def test_drives_that_take_speeds_are_sent_to_the_page(tmp_path: Path) -> None:
+    done = answered(tmp_path / "mine.yaml", answers(p27="speed"))
+    assert done.exit_code == 2
+    assert "expected forces or positions (drives that take speeds follow positions by a loop around them" in done.stderr
+    assert 'docs/your-machine.md, section 2), got "speed"' in done.stderr
+    page = (ROOT / "docs" / "your-machine.md").read_text(encoding="utf-8")
+    section = page[page.index("## 2. ") : page.index("## 3. ", page.index("## 2. "))]
+    assert "| drives that take speeds |" in section
+
+
 @pytest.mark.parametrize(("answer", "taken"), [("0", 0.0), ("10", 0.02), ("50", 0.06), ("60.1", 0.06)])
 def test_no_time_that_makes_a_loop_worse_is_rounded_down(tmp_path: Path, answer: str, taken: float) -> None:
     """At 50 commands a second; 20 frames a second are one in 2.5 commands, and count as one in 3.
@@ -512,7 +538,7 @@ def test_cranks_one_by_one(tmp_path: Path) -> None:
         (answers(p20="1e6"), 'Frames per second [1/s]: expected a number from 0.1 to 10000, got "1e6"'),
         (answers(p23="1e9"), 'at home [mm]: expected a number from 1 to 100000, got "1e9"'),
         (answers(p25="0 0 0 0 0 400"), 'turn about x y z [deg]: expected turns within +-360, got "0 0 0 0 0 400"'),
-        (answers(p27="torques"), 'expected forces or positions, got "torques"'),
+        (answers(p27="torques"), 'section 2), got "torques"'),
         (positions("50", "200"), 'acts on it [ms]: expected a number from 0 to 160, got "200"'),
         (answers(p28="1e-6"), 'Bandwidth of the loop [Hz]: expected a number from 0.05 to 500, got "1e-6"'),
         (answers(p2="nan"), 'expected a number, got "nan"'),

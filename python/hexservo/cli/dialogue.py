@@ -89,11 +89,13 @@ class Dialogue:
 
         return list(self.ask(question, default, lambda text: _numbers(text, *counts), check_all))
 
-    def choice(self, question: str, choices: tuple[str, ...]) -> str:
-        """Return one of some words; the first is the default."""
+    def choice(self, question: str, choices: tuple[str, ...], others: str = "") -> str:
+        """Return one of some words; the first is the default. `others` states what to do where none of them holds."""
 
         def check(value: str) -> str | None:
-            return None if value in choices else f"expected {' or '.join(choices)}"
+            if value in choices:
+                return None
+            return f"expected {' or '.join(choices)}{f' ({others})' if others else ''}"
 
         return str(self.ask(f"{question} ({', '.join(choices)})", choices[0], str, check))
 

@@ -21,7 +21,9 @@ _BANDWIDTHS = (0.05, 500.0)  # [Hz]: with any rate, a run's times and its log ar
 _LATEST = 1e4  # [ms], latency of an image, at most
 _SHORT_LATENCY = 1e-3  # [s], below which the answer may be in seconds
 _COMMANDS = (1.0, 1e4)  # [1/s], to a drive
+_USUAL_COMMANDS = 50.0  # [1/s], to a drive that takes positions, at least by default: RC servos and network protocols
 _SHORTEST = 1.0 / _COMMANDS[1]  # servo period [s] that is chosen for drives that take forces, at least
+_SPEEDS = "drives that take speeds follow positions by a loop around them: docs/your-machine.md, section 2"
 _RESPONSES = (0.01, 1e4)  # [Hz], of a drive
 _SPEED = 1e-6  # [deg/s] or [mm/s], of a drive, at least
 _LEAST_NOISE = 0.1  # [px], assumed by the law: encoders and lens leave as much where the image has none
@@ -115,11 +117,14 @@ class PositionLoop:
             "actuators": {"kind": "position", "delay": delay, "position": self.response},
         }
         scenario = hs.Scenario.from_mapping(document)
+        rate = f"{_usual_commands(self.frame):.6g} commands a second"
+        slower = f" A multiple of the frame rate, such as {rate}, would keep it."
         dialogue.say(
             f"Times are whole numbers of the {1e3 * self.period:.4g} ms between two commands: a frame every "
             f"{_became(self.frame, frame)}, used {_became(self.latency, latency)} after its exposure, and a delay of "
             f"{_became(self.delay, delay)}. `hexservo identify` measures them from a log, of drives that report where "
             "they are, and rounds to commands too."
+            + (slower if frame > self.frame * (1.0 + _ANSWERED) else "")
         )
         return document, scenario
 
@@ -140,6 +145,11 @@ def _became(answer: float, time: float) -> str:
     return f"{taken} ms" if given == taken else f"{taken} ms ({given} ms before rounding)"
 
 
+def _usual_commands(frame: float) -> float:
+    """Return the least multiple of a camera's frame rate that is at least `_USUAL_COMMANDS` [1/s]; `frame` in s."""
+    return min(_whole_above(_USUAL_COMMANDS * frame) / frame, _COMMANDS[1])
+
+
 def ask_loop(dialogue: Dialogue, frame: float, *, rotary: bool) -> Loop | PositionLoop:
     """Return what was answered about the loop of a camera with a `frame` period [s]."""
     latency = 1e-3 * dialogue.number(
@@ -150,9 +160,9 @@ def ask_loop(dialogue: Dialogue, frame: float, *, rotary: bool) -> Loop | Positi
             f"{1e3 * latency:.4g} ms is shorter than exposure and transfer of most images. If these are seconds, the "
             f"answer is {1e6 * latency:.4g}."
         )
-    if dialogue.choice("Commands that the drives take", ("forces", "positions")) == "forces":
+    if dialogue.choice("Commands that the drives take", ("forces", "positions"), _SPEEDS) == "forces":
         return Loop(frame, latency, _bandwidth(dialogue))
-    period = 1.0 / dialogue.number("Commands a second [1/s]", 50.0, *_COMMANDS)
+    period = 1.0 / dialogue.number("Commands a second [1/s]", _usual_commands(frame), *_COMMANDS)
     delay = 1e-3 * dialogue.number(
         "Delay, from a command until a drive acts on it [ms]",
         1e3 * period,

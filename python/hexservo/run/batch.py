@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexservo import _core
-from hexservo.run.custom_controller import OwnController, function_name, run_with
+from hexservo.run.custom_controller import OwnController, function_name, require_runnable, run_with
 from hexservo.run.display import batch_text
 from hexservo.run.drawn import html_of
 from hexservo.run.metrics import METRICS, asked_metrics, metric_meaning, metric_unit
@@ -270,7 +270,9 @@ def simulate_batch(
     ValueError
         Text "key: expected ..., got ..." for unknown keys, shapes, lengths and metrics, "scenario 17: key: ..." for
         the first bad scenario, before any runs; for a result of more than 2 GiB; for trajectories that differ in their
-        times; for a custom controller with more than one thread, or in continuous mode.
+        times; for a custom controller with more than one thread.
+    ScenarioError
+        For a custom controller in continuous mode, or with drives that take positions.
     VariantError
         Where the environment variable HEXSERVO_VARIANT asks for a variant that is not there.
     """
@@ -329,6 +331,7 @@ def _run_custom(
         raise ValueError(
             f"threads: expected 1 or None with a custom controller, which runs in one thread, got {threads}"
         )
+    require_runnable(scenario)
     law = scenario.controller.law
     scenarios = [scenario.updated(changes_of_run(arrays, law, index)) for index in range(count)]
     time = _common_times(scenarios) if log == "trajectory" else None

@@ -11,7 +11,7 @@ import numpy as np
 
 from hexservo.run.batch import metrics_of, simulate_batch, thread_count
 from hexservo.run.comparison import Comparison, ComparisonRow
-from hexservo.run.custom_controller import OwnController
+from hexservo.run.custom_controller import OwnController, require_runnable
 from hexservo.run.metrics import metrics
 from hexservo.run.progress import ProgressCallback, reporting
 from hexservo.run.result import Result
@@ -62,8 +62,8 @@ def compare(
         raises ends the comparison.
     controllers
         Custom controllers by the names of their rows, compared with the laws; functions as for `simulate`.
-        They run one by one in this thread, in sampled mode alone: a scenario in continuous mode is "refused". An
-        observation with ``tick`` 0 begins a new run.
+        They run one by one in this thread, in sampled mode and with drives that take forces alone: other scenarios are
+        "refused". An observation with ``tick`` 0 begins a new run.
 
     Returns
     -------
@@ -175,11 +175,10 @@ def _prepared(scenario: Scenario, law: str, *, custom: bool) -> ComparisonRow:
     of_law = {} if custom else {"controller.law": law, **taken_over(scenario, law)}
     try:
         changed = scenario.updated({**of_law, "simulation.log_every": log_every})
+        if custom:
+            require_runnable(changed)
     except ScenarioError as error:
         return _refused(law, scenario, error)
-    if custom and scenario.simulation.mode != "sampled":
-        sentence = "simulation.mode: expected sampled for a custom controller, got continuous"
-        return _refused(law, scenario, ValueError(sentence))
     return ComparisonRow(law, changed, "interrupted", "not begun")
 
 

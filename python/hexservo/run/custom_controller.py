@@ -17,6 +17,7 @@ from hexservo.scenario.laws import ALL_LAWS
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.pixels import assumed_pixels
 from hexservo.scenario.scenario import Scenario
+from hexservo.scenario.yaml import ScenarioError
 
 
 @described
@@ -69,18 +70,42 @@ class LegForces:
 OwnController: TypeAlias = Callable[[Observation], "ArrayLike | LegForces"]
 
 
+def require_runnable(scenario: Scenario) -> None:
+    """Check that a custom controller, whose output is a wrench at every servo tick, can run a scenario.
+
+    Raises
+    ------
+    ScenarioError
+        For a scenario in continuous mode, and for one whose drives take positions.
+    """
+    problems = []
+    if scenario.simulation.mode != "sampled":
+        problems.append("simulation.mode: expected sampled for a custom controller, got continuous")
+    if scenario.actuators.kind != "force":
+        problems.append(
+            "actuators.kind: expected force for a custom controller, whose wrench acts on the platform, got "
+            f"{scenario.actuators.kind}; drives that take positions need a law of the scenario: "
+            "docs/position-machines.md has a loop in Python around hs.Controller"
+        )
+    if problems:
+        raise ScenarioError(problems)
+
+
 def run_with(scenario: Scenario, controller: OwnController) -> _core.Trajectory:
     """Call the controller at every tick, from the first to the last. Ctrl-C ends the run as ``interrupted``.
 
     Raises
     ------
+    ScenarioError
+        As `require_runnable`, before the first call.
     ValueError
-        For a scenario that is not in sampled mode, and for a command of another shape or with numbers that are not
-        finite, or leg forces whose wrench is not, with its tick.
+        For a command of another shape or with numbers that are not finite, or leg forces whose wrench is not, with its
+        tick.
     Exception
         What the controller raises, as it is; where the interpreter can (from Python 3.11 on), with a note that names
         the tick.
     """
+    require_runnable(scenario)
     settings = core_parameters(scenario)
     run = _core.SampledRun(settings)
     pixels_of = assumed_pixels(scenario, settings)
