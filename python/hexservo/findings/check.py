@@ -24,6 +24,7 @@ from hexservo.findings.check_joints import of_joints
 from hexservo.findings.check_keys import keys_without_effect
 from hexservo.findings.check_machine import of_machine
 from hexservo.findings.check_motion import of_motion
+from hexservo.findings.check_overshoot import of_overshoot
 from hexservo.findings.check_period import of_period, of_step
 from hexservo.findings.check_points import of_points
 from hexservo.findings.check_positions import of_positions
@@ -60,8 +61,8 @@ def unlikely(scenario: Scenario, *, by_law: bool = True) -> list[str]:
     (`of_target`), the machine with what is built (`of_machine`), limits and motors of legs that take positions
     with each other, duration and weight (`of_positions`), the servo period in sampled mode, or the step of the
     integration in continuous mode, with the loop of the gains, linearised at home with the switching term as in
-    `linear_law`; gains with what the run needs (`of_slow`), duration, servo rate, delays, forces and noise
-    (`of_gains`); drive and adaptation of fuzzy systems with the linear loop (`of_adaptation`), the filter of `tracking`
+    `linear_law`; gains with what the run needs (`of_slow`), what legs stop with (`of_overshoot`), duration, servo
+    rate, delays, forces and noise (`of_gains`); drive and adaptation of fuzzy systems with the linear loop (`of_adaptation`), the filter of `tracking`
     with the target's motion (`of_tracking`), what runs that begin at the goal leave of it, before a target at rest and
     before one that moves (`of_hold`), what encoders read with the image and the fuzzy inputs (`of_joints`). Gains with
     which numbers of that loop overflow have a sentence that names it.
@@ -132,6 +133,7 @@ def _of_rates(scene: Scene) -> Iterator[str]:
     yield from of_gains(scene)
     if poles is not None:
         yield from of_slow(scene)
+        yield from of_overshoot(scene)
 
 
 def _of_legs(scene: Scene) -> Iterator[str]:

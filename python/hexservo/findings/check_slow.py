@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from hexservo.findings.analysis.scene import Scene
-from hexservo.findings.home_loop import least_image_error
+from hexservo.findings.home_loop import image_errors
 from hexservo.scenario.fitted import auto_of, chosen_keys
 from hexservo.scenario.scenario import Scenario
-from hexservo.scenario.wording import below, quantity
+from hexservo.scenario.wording import below, number, quantity
 
 _LEFT = 0.5  # of the image error at the start: a run that leaves more by its linear loop is too short for the gains
 _ALL = 1.0 - 1e-6  # what a loop leaves in which nothing pulls: the differences that linearise it are not exact
@@ -17,8 +19,8 @@ _ALL = 1.0 - 1e-6  # what a loop leaves in which nothing pulls: the differences 
 def of_slow(scene: Scene) -> Iterator[str]:
     """Yield a sentence for gains with which the run leaves most of the image error at the start.
 
-    By the linear loop at home (`least_image_error`); of gains by `auto` alone see the bandwidth (`of_gains`), and of a
-    law whose output is a pose its own.
+    By the linear loop at home (`least_image_error`), and with fuzzy systems whose adaptation leaves more than the band
+    at its end; of gains by `auto` alone see the bandwidth (`of_gains`), and of a law whose output is a pose its own.
 
     Raises
     ------
@@ -30,7 +32,8 @@ def of_slow(scene: Scene) -> Iterator[str]:
         return
     if auto_of(scenario).bandwidth is not None and not chosen_keys(scenario):  # all gains are fitted
         return
-    left = least_image_error(scene)
+    errors = image_errors(scene)
+    left = float(np.min(errors))
     key = f"controller.{scenario.controller.law}"
     if left > _ALL:
         yield (
@@ -43,6 +46,26 @@ def of_slow(scene: Scene) -> Iterator[str]:
             f"linear loop {below(100.0 * left, 3)} % of the image error at the start is left at its end; "
             f"{_remedy(scenario, key)}"
         )
+    else:
+        yield from _of_adaptation(scene, key, errors)
+
+
+def _of_adaptation(scene: Scene, key: str, errors: list[float]) -> Iterator[str]:
+    """Find weights that take up what they push against too slowly for the run: without adaptation it would settle.
+
+    An adaptation A to the pose error e and, at the rate Lambda, to its integral leaves a mode of about
+    Lambda A/(K_t + A), however fast the spring is.
+    """
+    start = np.abs(scene.desired - scene.view(scene.start).features)[scene.machine.weights > 0.0].max()
+    alone, adapting = errors[0], errors[-1]
+    if alone * start > scene.band or not adapting * start > scene.band:
+        return
+    yield (
+        f"{key}.drive: the fuzzy systems adapt too slowly for the run of "
+        f"{quantity(scene.scenario.simulation.duration, 's')}: by the linear loop of these gains about "
+        f"{number(float(adapting * start), 2)} px of the image error at the start are left at its end, and metrics.band "
+        f"is {number(scene.band)} px; {_remedy(scene.scenario, key)}"
+    )
 
 
 def _remedy(scenario: Scenario, key: str) -> str:

@@ -9,11 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from hexservo import _core
-from hexservo.findings.analysis.goal import find_goals
+from hexservo.findings.analysis.goal import GoalPose, find_goals
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.bisection import last_that_holds
 from hexservo.findings.target_path import follows_direction
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.laws import Tracking
 from hexservo.scenario.motion import moves
 from hexservo.scenario.wording import number, quantity
@@ -67,8 +68,8 @@ def of_way(scene: Scene) -> Iterator[str]:
     )
 
 
-def way_of(scene: Scene) -> Way | None:
-    """Return the way to a goal at rest, straight in the legs and in the pose; None for other tasks and machines."""
+def goal_of_way(scene: Scene) -> tuple[Array, Array, GoalPose] | None:
+    """Return where the legs start, how far they go (6,) [m; of cranks rad], and the goal; None as `way_of`."""
     scenario = scene.scenario
     moving = scenario.target.motion.kind != "none" or moves(scenario.base_motion)
     if moving or np.any(scenario.simulation.start.twist) or scene.settled_start is not None:
@@ -78,23 +79,31 @@ def way_of(scene: Scene) -> Way | None:
     goals = find_goals(scene)
     if goals is None or not goals.reachable:
         return None
-    start = np.asarray(scenario.simulation.start.pose, dtype=float)
-    goal = goals.best.displacement
+    goal = goals.best.view.pose
     ends = scene.leg_travel(
         Poses(
-            np.stack([scene.start.position, goals.best.view.pose.position]),
-            np.stack([scene.start.quaternion, goals.best.view.pose.quaternion]),
+            np.stack([scene.start.position, goal.position]),
+            np.stack([scene.start.quaternion, goal.quaternion]),
         )
     )
     legs = ends[1] - ends[0]
-    if not np.isfinite(legs).all():
+    return (ends[0], legs, goals.best) if np.isfinite(legs).all() else None
+
+
+def way_of(scene: Scene) -> Way | None:
+    """Return the way to a goal at rest, straight in the legs and in the pose; None for other tasks and machines."""
+    found = goal_of_way(scene)
+    if found is None:
         return None
+    begin, legs, best = found
+    start = np.asarray(scene.scenario.simulation.start.pose, dtype=float)
+    goal = best.displacement
     shares = np.arange(1, _PARTS + 1) / _PARTS
     straight = scene.residual(scene.home.moved(start + shares[:, None] * (goal - start)))
     farthest = float(np.abs(legs).max())
     pose, travel = scene.start, 0.0
     for share in shares:
-        lengths = scene.hexapod.mid_lengths + ends[0] + np.clip(legs, -share * farthest, share * farthest)
+        lengths = scene.hexapod.mid_lengths + begin + np.clip(legs, -share * farthest, share * farthest)
         found = scene.hexapod.forward_kinematics(lengths, pose.position, pose.quaternion)
         if found.status != _core.KinematicsStatus.converged:
             return None

@@ -57,6 +57,17 @@ def least_image_error(scene: Scene) -> float:
     NoRestError
         The law cannot be evaluated at home.
     """
+    return float(np.min(image_errors(scene)))
+
+
+def image_errors(scene: Scene) -> list[float]:
+    """Return what `least_image_error` is the least of: without adaptation, and with it where there is one.
+
+    Raises
+    ------
+    NoRestError
+        The law cannot be evaluated at home.
+    """
     machine, state_matrix = scene.machine, _matrix(scene, smooth=False, adapts=True)
     counted = machine.weights > 0.0
     jacobian = np.asarray(scene.view(scene.home).jacobian)[counted]
@@ -66,9 +77,9 @@ def least_image_error(scene: Scene) -> float:
         start = np.asarray(np.linalg.lstsq(jacobian, seen, rcond=None)[0])
     state = np.zeros(len(state_matrix))
     state[: min(len(state), 12)] = np.append(start, scene.settings["simulation.start.twist"])[: len(state)]
-    sizes = {min(len(state), 12), len(state)}  # without and with the adaptation, where there is one
+    sizes = sorted({min(len(state), 12), len(state)})
     duration = scene.scenario.simulation.duration
-    return float(np.min([_least_share(state_matrix[:n, :n], state[:n], jacobian, duration) for n in sizes]))
+    return [_least_share(state_matrix[:n, :n], state[:n], jacobian, duration) for n in sizes]
 
 
 def _least_share(state_matrix: Array, state: Array, jacobian: Array, duration: float) -> float:
