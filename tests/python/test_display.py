@@ -59,6 +59,7 @@ def returned(paper: hs.Scenario, tmp_path_factory: pytest.TempPathFactory) -> di
         "Certificate": hs.certify(run),
         "Certificate of a sampled run": hs.certify(hs.simulate(sampled)),
         "BatchCertificate": hs.certify_batch(short, VARIED),
+        "Check": hs.check(paper),
         "Diagnosis": hs.diagnose(hs.simulate(hs.load_scenario("fails-late-camera"))),
         "Diagnosis of a run that passes": hs.diagnose(hs.simulate(paper)),
         "Observation": hs.Observation(0, 0.0, math.nan, *(np.full(n, math.nan) for n in (8, 4, 3, 4, 6, 6, 6, 8))),

@@ -323,7 +323,7 @@ def test_the_command_names_what_the_model_leaves_out(tmp_path: Path) -> None:
         "camera.noise": 0.1,
         "sensors.pose": "encoders",
     }
-    plain = hs.load_scenario("paper-nominal").updated({"simulation.mode": "sampled"})
+    plain = hs.load_scenario("paper-nominal").updated({"simulation.mode": "sampled", "actuators.hold": "leg_forces"})
     scenario = plain.updated(left_out)
     assert mjcf(scenario) == mjcf(plain)
     assert set(not_in_model(scenario)) == set(left_out)

@@ -226,8 +226,8 @@ def test_efforts_are_those_of_the_motion(machine: str) -> None:
     after = probe.acceleration(*place, np.einsum("kij,kj->ki", maps, run.leg_forces[:-1]) + base_wrench)
     found = np.einsum("kij,ki->kj", maps, after - acting)[:-1]
     ripple = (crest[:-1] - mean)[1:]
-    np.testing.assert_allclose(found[1:], ripple, atol=0.02 * np.abs(crest).max())
-    assert np.abs(ripple).max() > 0.05 * np.abs(crest).max()
+    print(np.abs(ripple).max(), np.abs(found[1:] - ripple).max())
+    np.testing.assert_allclose(found[1:], ripple, atol=0.1 * np.abs(ripple).max())
 
 
 @pytest.mark.parametrize("depth", [0.0, 0.1])

@@ -549,7 +549,8 @@ def test_the_summary_has_the_warnings_of_check(monkeypatch: pytest.MonkeyPatch) 
     short = {"simulation.duration": 0.1, "metrics.dwell": 0.01, "metrics.rms_start": 0.0}
     coarse = hs.load_scenario("fails-coarse-step").updated({**short, "robot.force_limit": 0.1})
     still = hs.simulate(coarse, controller=lambda _: np.zeros(6))
-    for run, keys in ((hs.simulate(coarse), ["robot.force_limit", "simulation.step"]), (still, ["robot.force_limit"])):
+    by_law = ["robot.force_limit", "simulation.step", "controller.law"]
+    for run, keys in ((hs.simulate(coarse), by_law), (still, ["robot.force_limit"])):
         (listed,) = re.findall(r'<ul class="verdicts">(.*?)</ul>', page(run), re.DOTALL)
         assert re.findall(r'<a href="#scenario">Scenario</a>: ([a-z_.]+): ', listed) == keys
 

@@ -51,8 +51,8 @@ inline constexpr Bound kRelativeError = {.least = -1.0, .most = 1.0, .above = tr
 inline constexpr double kFullTurn = 6.283185307179586;  ///< 2 pi
 /// An angle [rad]; larger ones are probably degrees.
 inline constexpr Bound kAngle = {.least = -kFullTurn, .most = kFullTurn};
-/// Longest rotation vector of a pose of six numbers [rad], likewise: half a turn, as people round it. A longer one has
-/// a shorter one, and turns the other way than who wrote it in degrees meant.
+/// Longest rotation vector of a pose of six numbers [rad], likewise: pi, as people round it. A longer one has a shorter
+/// one, which rotates the other way than who wrote it in degrees meant.
 inline constexpr double kLongestTurn = 3.15;
 /// An angle between two directions [rad].
 inline constexpr Bound kTilt = {.least = 0.0, .most = 3.141592653589793, .above = true};

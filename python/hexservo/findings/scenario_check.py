@@ -29,7 +29,7 @@ _NAMED = "hexservo diagnose names the cause"
 class Check:
     """What is doubtful in a valid scenario. Sentences begin with the key that they are about."""
 
-    scenario: Scenario
+    scenario: Scenario  # that was checked
     warnings: tuple[str, ...]  # legal but probably unintended settings, and what the run does not reach
     notes: tuple[str, ...]  # keys without effect, what a prior leaves of the pose, an unstable brake
     run: Result | None  # of the scenario as written; None: it has more than 200 000 steps
