@@ -216,6 +216,16 @@ def test_importing_hexservo_imports_nothing_heavy() -> None:
     assert run.stdout == "[]\n"
 
 
+def test_campaigns_and_searches_start_without_modules_that_few_of_them_need() -> None:
+    """SciPy's optimisation is for anytime intervals, its rotations for targets that are displaced by one."""
+    program = (
+        "import sys, hexservo.campaigns.engine, hexservo.campaigns.tuning; "
+        "print([name for name in ('scipy.optimize', 'scipy.spatial', 'scipy.stats') if name in sys.modules])"
+    )
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert run.stdout == "[]\n"
+
+
 # The process sends itself SIGINT when a module is first looked for: every moment is met exactly.
 INTERRUPTED_AT = """
 import os, signal, sys
