@@ -148,3 +148,60 @@ def test_an_undamped_loop_is_judged_by_the_imaginary_axis(paper: hs.Scenario) ->
         step = {"simulation.step": factor * longest, "simulation.duration": 1000 * factor * longest}
         assert bool(too_long(scenario.updated(step))) == named
         assert (hs.simulate(scenario.updated(step)).outcome != "completed") == named
+
+
+# ---- Adaptation that is too slow ------------------------------------------------------------------------------------
+
+DRIVE = "controller.composite.drive"
+
+
+def adapting(share: float, changes: dict[str, Any] | None = None) -> hs.Scenario:
+    """Return a machine with fitted gains but a share of the drive, without model errors, for 5 s."""
+    scenario = hs.Scenario(
+        name="adapting",
+        robot={"preset": "pi_h824"},
+        camera={"focal_pixels": 1667.0},
+        target={
+            "tag": {"size": 0.08, "pose": [0.0, 0.0, -0.559, 0.0, 0.0, 0.0]},
+            "desired_pose": [0.002, -0.001, 0.001, -0.005, -0.008, 0.01],
+        },
+        controller={"law": "composite", "composite": {"auto": {"bandwidth": 1.5}}},
+        simulation={"step": 1e-3, "duration": 5.0},
+    )
+    drive = share * np.asarray(scenario.controller.gains.drive)
+    return scenario.updated({DRIVE: np.broadcast_to(drive, 6).tolist(), **(changes or {})})
+
+
+def adaptation(scenario: hs.Scenario) -> list[str]:
+    return [words for words in unlikely(scenario) if "adapt too slowly" in words]
+
+
+@pytest.mark.parametrize("share", [0.15, 0.05])
+def test_a_drive_that_adapts_too_slowly_leaves_what_is_named(share: float) -> None:
+    scenario = adapting(share)
+    (words,) = adaptation(scenario)
+    assert words.startswith(f"{DRIVE}: the fuzzy systems adapt too slowly for the run of 5 s: ")
+    assert words.endswith(f"null for {DRIVE} leaves them to controller.composite.auto")
+    found = re.search(r"about ([\d.]+) px of the image error", words)
+    assert found is not None
+    left = float(np.abs(np.asarray(hs.simulate(scenario).feature_error[-1])).max())
+    assert left == pytest.approx(float(found[1]), rel=0.25)
+    assert math.isnan(hs.metrics(hs.simulate(scenario))["settling_time"])
+
+
+def test_a_drive_that_has_time_enough_or_no_adaptation_is_not_named() -> None:
+    for scenario in (
+        adapting(0.6),
+        adapting(0.15, {"simulation.duration": 20.0}),
+        adapting(0.15, {"controller.composite.fuzzy.enabled": False, "uncertainty.gravity": 0.0}),
+    ):
+        assert adaptation(scenario) == []
+        assert math.isfinite(hs.metrics(hs.simulate(scenario))["settling_time"])
+
+
+def test_an_adaptation_whose_inputs_saturate_is_not_judged_by_the_linear_loop() -> None:
+    """composite-30hz has a wide rate_scale: with 0.03 times its drive it settles as before, and 3.9 px were named."""
+    scenario = hs.load_scenario("composite-30hz")
+    slow_drive = scenario.updated({DRIVE: (0.03 * np.asarray(scenario.controller.gains.drive)).tolist()})
+    assert adaptation(slow_drive) == []
+    assert hs.metrics(hs.simulate(slow_drive))["settling_time"] < 0.1

@@ -62,10 +62,10 @@ def unlikely(scenario: Scenario, *, by_law: bool = True) -> list[str]:
     with each other, duration and weight (`of_positions`), the servo period in sampled mode, or the step of the
     integration in continuous mode, with the loop of the gains, linearised at home with the switching term as in
     `linear_law`; gains with what the run needs (`of_slow`), what legs stop with (`of_overshoot`), duration, servo
-    rate, delays, forces and noise (`of_gains`); drive and adaptation of fuzzy systems with the linear loop (`of_adaptation`), the filter of `tracking`
-    with the target's motion (`of_tracking`), what runs that begin at the goal leave of it, before a target at rest and
-    before one that moves (`of_hold`), what encoders read with the image and the fuzzy inputs (`of_joints`). Gains with
-    which numbers of that loop overflow have a sentence that names it.
+    rate, delays, forces and noise (`of_gains`); drive and adaptation of fuzzy systems with the linear loop
+    (`of_adaptation`), the filter of `tracking` with the target's motion (`of_tracking`), what runs that begin at the
+    goal leave of it, before a target at rest and before one that moves (`of_hold`), what encoders read with the image
+    and the fuzzy inputs (`of_joints`). Gains with which numbers of that loop overflow have a sentence that names it.
     Simulates how the goal is kept and how a target in motion is followed, in a second or some.
 
     Parameters

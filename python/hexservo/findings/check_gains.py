@@ -51,7 +51,7 @@ def of_gains(scene: Scene) -> Iterator[str]:
     scenario = scene.scenario
     auto = auto_of(scenario)
     law = scenario.controller.law
-    if auto.bandwidth is not None and follows_bandwidth(scenario):
+    if auto.bandwidth is not None and _follows_bandwidth(scenario):
         of_bandwidth = f"controller.{law}.auto.bandwidth: {{}} Hz"
         key = of_bandwidth.format(number(auto.bandwidth))
         yield from _of_times(scenario, of_bandwidth, auto.bandwidth)
@@ -311,7 +311,7 @@ def _of_coupled_noise(scene: Scene, key: str) -> Iterator[str]:
         )
 
 
-def follows_bandwidth(scenario: Scenario) -> bool:
+def _follows_bandwidth(scenario: Scenario) -> bool:
     """Return whether a gain that sets the motion is fitted; with all of them written the bandwidth does not act."""
     fitted = _OF_MOTION.intersection(fitted_keys(scenario.controller.law))
     return not fitted.issubset({*chosen_keys(scenario), *idle_gains(scenario)})

@@ -11,15 +11,17 @@ import numpy as np
 from hexservo.findings.analysis.conditioning import frames_noise, noise_in_words
 from hexservo.findings.analysis.loop_of_scenario import rates_without_mass
 from hexservo.findings.analysis.scene import Scene
-from hexservo.findings.check_gains import follows_bandwidth, image_delay
+from hexservo.findings.check_gains import image_delay
 from hexservo.findings.check_way import goal_of_way
 from hexservo.findings.prior import legs_of_noise
+from hexservo.scenario.fitted import auto_of, chosen_keys
 from hexservo.scenario.laws import ResolvedRate
 from hexservo.scenario.wording import apart, quantity
 
 BRAKING = 0.6  # share of the limit, as of the law `tracking`: held commands ask more of the legs (docs/model.md)
-_LITTLE = 0.1  # of the way, beyond the goal
+_LITTLE = 0.15  # of the way, beyond the goal
 _OF_CHANGES = 2.4  # largest of the six legs' changes by noise, over the deviation of one
+_OF_RATE = frozenset(("gain", "kp", "kd"))  # what sets lambda where it is written
 _DAMPED = 0.5  # lambda theta of a damping 1/(2 sqrt(lambda theta)) of 0.7
 
 
@@ -40,13 +42,23 @@ class Stop:
     acceleration: float  # a [m/s^2]
     fastest: float  # largest rate [m/s]
     late: float  # tau [s]
-    noise: float  # sigma of a leg in the pose of an image [m]
+    noise: float = 0.0  # sigma of a leg in the pose of an image [m]
+    lag: float = 0.0  # of the legs behind their commands [s]
+
+    @property
+    def time(self) -> float:
+        """Return how long the legs take to reach their largest rate on the way [s]."""
+        return min(math.sqrt(self.way / self.acceleration), self.fastest / self.acceleration)
 
     def most(self, share: float = BRAKING) -> float:
         """Return the largest lambda [1/s] that stops with a share of the limit, and is damped by 0.7 under noise."""
+        noisy = math.sqrt(_DAMPED / self._lag_of_noise(1.0)) if self.noise > 0.0 else math.inf
+        return min(self.most_without_noise(share), noisy)
+
+    def most_without_noise(self, share: float = BRAKING) -> float:
+        """Return the largest lambda [1/s] that stops with a share of the limit."""
         limit = share * self.acceleration
-        stops = 1.0 / (self.late + min(self.fastest / (2.0 * limit), 0.5 * math.sqrt(self.way / limit)))
-        return min(stops, math.sqrt(_DAMPED / self._lag_of_noise(1.0)) if self.noise > 0.0 else math.inf)
+        return 1.0 / (self.late + min(self.fastest / (2.0 * limit), 0.5 * math.sqrt(self.way / limit)))
 
     def beyond(self, rate: float) -> float:
         """Return how far beyond the goal lambda [1/s] takes the leg without noise, over its way."""
@@ -57,6 +69,8 @@ class Stop:
 
     def beyond_by_noise(self, rate: float) -> float:
         """Return how far beyond the goal the lag that noise makes takes the leg, over its way."""
+        if self.noise == 0.0:
+            return 0.0
         product = rate * self._lag_of_noise(rate)  # lambda theta
         return math.exp(-math.pi / math.sqrt(4.0 * product - 1.0)) if product > 0.25 else 0.0
 
@@ -65,7 +79,7 @@ class Stop:
 
 
 def of_overshoot(scene: Scene) -> Iterator[str]:
-    """Yield a sentence for gains with which a platform without mass passes its goal by more than a tenth of the way.
+    """Yield a sentence for gains with which a platform without mass passes its goal by more than 15 % of the way.
 
     For a goal at rest, of legs that take positions and have an acceleration limit; to first order, the way straight.
 
@@ -79,32 +93,30 @@ def of_overshoot(scene: Scene) -> Iterator[str]:
     if found is None:
         return
     stop, rate, leg = found
-    shares = {stop.beyond(rate): False, stop.beyond_by_noise(rate): True}
-    share = max(shares)
-    if share <= _LITTLE:
+    share = stop.beyond(rate)
+    if share > 0.0:  # noise alone scatters the legs as far without a limit
+        share = max(share, stop.beyond_by_noise(rate))
+    if share <= _LITTLE or stop.lag > stop.time:  # legs that slow do not follow a command beyond the goal
         return
-    law, unit = scenario.controller.law, scene.units.coordinate
-    limit = f"actuators.position.acceleration_limit, {quantity(stop.acceleration, f'{unit}/s^2')}"
-    cause = (
-        f"{noise_in_words(scenario)} makes {law} ask for changes of the legs' rates that use up {limit}"
-        if shares[share]
-        else f"{limit}, does not stop the legs as fast as the law slows down"
-    )
-    way = "" if shares[share] else f", leg {leg} by about {share:.0%} of its {quantity(stop.way, unit)}"
-    factor = stop.most() / rate
+    law, unit, factor = scenario.controller.law, scene.units.coordinate, stop.most() / rate
     gains = scenario.controller.gains
-    if follows_bandwidth(scenario):
+    if auto_of(scenario).bandwidth is not None and _OF_RATE.isdisjoint(chosen_keys(scenario)):
         value, most = apart(gains.auto.bandwidth, factor * gains.auto.bandwidth, 3, keeps=True)
         key, value, remedy = "auto.bandwidth", f"{value} Hz", f"{most} Hz"
-    elif isinstance(gains, ResolvedRate):
+    elif isinstance(gains, ResolvedRate) and not gains.adaptive:
         value, most = apart(gains.gain, factor * gains.gain, 3, keeps=True)
         key, value, remedy = "gain", f"{value} 1/s", f"{most} 1/s"
     else:
-        key, value, remedy = "kp", "these gains", f"{apart(1.0, factor, 3, keeps=True)[1]} times this spring"
-    less = ", or with a larger target or less noise at a higher one" if shares[share] else ""
+        key = "gain" if isinstance(gains, ResolvedRate) else "kp"
+        several = "gain, gain_far and gain_slope" if key == "gain" else "kp"
+        value, remedy = "these gains", f"{apart(1.0, factor, 3, keeps=True)[1]} times {several}"
+    noise = stop.most() < stop.most_without_noise()
+    of_noise = f"of which {noise_in_words(scenario)} takes a part by changes that the law asks for, " if noise else ""
     yield (
-        f"controller.{law}.{key}: with {value} runs swing beyond the goal{way}, since {cause}; up to {remedy} they stop "
-        f"there{less}"
+        f"controller.{law}.{key}: with {value} runs swing beyond the goal, leg {leg} by about {share:.0%} of its "
+        f"{quantity(stop.way, unit)}, since actuators.position.acceleration_limit, "
+        f"{quantity(stop.acceleration, f'{unit}/s^2')}, {of_noise}does not stop the legs as fast as the law slows "
+        f"down; up to {remedy} they stop there"
     )
 
 
@@ -137,5 +149,6 @@ def stop_of(scene: Scene) -> tuple[Stop, float, int] | None:
         fastest=math.inf if response.speed_limit is None else response.speed_limit,
         late=image_delay(scenario),
         noise=frames_noise(scenario) * float(np.nan_to_num(legs_of_noise(scene)).max()),
+        lag=response.damping / (math.pi * response.bandwidth),
     )
     return stop, rate, int(np.abs(legs).argmax()) + 1

@@ -13,6 +13,7 @@ from hexservo.scenario.arrays import Array
 from hexservo.scenario.wording import quantity
 
 _FEWEST = 3  # points that a law can regulate
+_SURELY = 3.0  # strokes by which noise scatters a leg that goes to the ends of its stroke
 
 
 def of_points(scene: Scene) -> Iterator[str]:
@@ -20,7 +21,8 @@ def of_points(scene: Scene) -> Iterator[str]:
 
     Hardly is by half of the depth, or by more than the stroke of a leg with the law's own inverse of the image: a law
     that follows its noise then uses the whole stroke. In runs of five laws, with bandwidths of 0.3 to 3 Hz, legs had
-    excursions of 0.5 to 1.5 times the stroke where that deviation is the stroke, and at most 0.8 at half of it.
+    excursions of 0.5 to 1.5 times the stroke where that deviation is the stroke, and at most 0.8 at half of it; from
+    three times the stroke on they went to its ends or beyond.
     """
     counted = int((scene.settings["target.weights"] > 0.0).sum())
     if counted == _FEWEST:
@@ -56,9 +58,14 @@ def _uncertain(start: Sight, noise: float, of_noise: str) -> str:
 def _of_legs(scene: Scene, legs: Array) -> str:
     leg, unit, law = int(legs.argmax()), scene.units.coordinate, scene.scenario.controller.law
     key = key_of_inverse(scene)
+    stroke = quantity(scene.stroke, unit)
+    follows = (
+        "legs go to the ends of their stroke or beyond, and runs settle late or not at all"
+        if legs[leg] > _SURELY * scene.stroke
+        else "legs may go to the ends of their stroke or beyond, and runs may settle late or not at all"
+    )
     remedy = f"a larger controller.{law}.{key}" if key else "a law whose prior keeps noise out"
     return (
-        f", and where {law} sends leg {leg + 1} by {quantity(float(legs[leg]), unit)}, which has "
-        f"{quantity(scene.stroke, unit)} of stroke either way: legs go to the ends of their stroke or beyond, and runs "
-        f"settle late or not at all; take a larger, nearer or better spread target, less noise, or {remedy}"
+        f", and where {law} sends leg {leg + 1} by {quantity(float(legs[leg]), unit)}, which has {stroke} of stroke "
+        f"either way: {follows}; take a larger, nearer or better spread target, less noise, or {remedy}"
     )

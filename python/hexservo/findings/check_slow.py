@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from hexservo.findings.analysis.scene import Scene
-from hexservo.findings.home_loop import image_errors
+from hexservo.findings.home_loop import image_errors, largest_motion
 from hexservo.scenario.fitted import auto_of, chosen_keys
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import below, number, quantity
@@ -54,17 +54,22 @@ def _of_adaptation(scene: Scene, key: str, errors: list[float]) -> Iterator[str]
     """Find weights that take up what they push against too slowly for the run: without adaptation it would settle.
 
     An adaptation A to the pose error e and, at the rate Lambda, to its integral leaves a mode of about
-    Lambda A/(K_t + A), however fast the spring is.
+    Lambda A/(K_t + A), however fast the spring is. Where the motion is beyond the range of the fuzzy inputs, weights
+    take up less than the linear loop does, and nothing is judged.
     """
     start = np.abs(scene.desired - scene.view(scene.start).features)[scene.machine.weights > 0.0].max()
     alone, adapting = errors[0], errors[-1]
     if alone * start > scene.band or not adapting * start > scene.band:
         return
+    fuzzy = scene.scenario.controller.gains.fuzzy
+    scales = np.append(np.broadcast_to(fuzzy.error_scale, 6), np.broadcast_to(fuzzy.rate_scale, 6))
+    if (scales * largest_motion(scene) > 1.0).any():
+        return
     yield (
         f"{key}.drive: the fuzzy systems adapt too slowly for the run of "
         f"{quantity(scene.scenario.simulation.duration, 's')}: by the linear loop of these gains about "
-        f"{number(float(adapting * start), 2)} px of the image error at the start are left at its end, and metrics.band "
-        f"is {number(scene.band)} px; {_remedy(scene.scenario, key)}"
+        f"{number(float(adapting * start), 2)} px of the image error at the start are left at its end, and "
+        f"metrics.band is {number(scene.band)} px; {_remedy(scene.scenario, key)}"
     )
 
 

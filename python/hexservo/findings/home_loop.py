@@ -17,6 +17,7 @@ from hexservo.scenario.arrays import Array, Complex
 from hexservo.scenario.pixels import on_pinhole
 
 _SAMPLES = 200  # of the image error in a run
+_SETTLED = 10.0  # time constants in which a motion is over
 
 
 def poles_at_home(scene: Scene) -> Complex:
@@ -68,18 +69,44 @@ def image_errors(scene: Scene) -> list[float]:
     NoRestError
         The law cannot be evaluated at home.
     """
-    machine, state_matrix = scene.machine, _matrix(scene, smooth=False, adapts=True)
-    counted = machine.weights > 0.0
-    jacobian = np.asarray(scene.view(scene.home).jacobian)[counted]
-    start: Array = scene.start.displacement_from(scene.home) - machine.displacement
-    if not np.isfinite(start).all():  # no pose shows the goal image
-        seen = (scene.view(scene.start).features - scene.desired)[counted]
-        start = np.asarray(np.linalg.lstsq(jacobian, seen, rcond=None)[0])
-    state = np.zeros(len(state_matrix))
-    state[: min(len(state), 12)] = np.append(start, scene.settings["simulation.start.twist"])[: len(state)]
+    state_matrix, state = _matrix(scene, smooth=False, adapts=True), start_at_home(scene)
+    jacobian = np.asarray(scene.view(scene.home).jacobian)[scene.machine.weights > 0.0]
+    if scene.scenario.moves_without_mass:
+        state = state[:6]
+    state = np.append(state, np.zeros(len(state_matrix) - len(state)))
     sizes = sorted({min(len(state), 12), len(state)})
     duration = scene.scenario.simulation.duration
     return [_least_share(state_matrix[:n, :n], state[:n], jacobian, duration) for n in sizes]
+
+
+def start_at_home(scene: Scene) -> Array:
+    """Return displacement from the goal and twist at the start, (12,) [m; rad; m/s; rad/s]."""
+    start: Array = scene.start.displacement_from(scene.home) - scene.machine.displacement
+    if not np.isfinite(start).all():  # no pose shows the goal image
+        counted = scene.machine.weights > 0.0
+        seen = (scene.view(scene.start).features - scene.desired)[counted]
+        start = np.asarray(np.linalg.lstsq(np.asarray(scene.view(scene.home).jacobian)[counted], seen, rcond=None)[0])
+    return np.append(start, scene.settings["simulation.start.twist"])
+
+
+def largest_motion(scene: Scene) -> Array:
+    """Return the largest displacements from the goal, and rates, of the loop without adaptation, (12,).
+
+    In ten of its longest time constants. Of a platform with mass.
+
+    Raises
+    ------
+    NoRestError
+        The law cannot be evaluated at home.
+    """
+    state_matrix, state = _matrix(scene, smooth=False, adapts=False), start_at_home(scene)
+    slowest = float(np.abs(np.linalg.eigvals(state_matrix).real).min())
+    step = exponential(_SETTLED / (_SAMPLES * max(slowest, 1e-12)) * state_matrix)
+    largest = np.abs(state)
+    for _ in range(_SAMPLES):
+        state = step @ state
+        largest = np.maximum(largest, np.abs(state))
+    return largest
 
 
 def _least_share(state_matrix: Array, state: Array, jacobian: Array, duration: float) -> float:
