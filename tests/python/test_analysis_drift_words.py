@@ -83,7 +83,7 @@ def test_growth_and_decay_at_start_and_goal(rates: tuple[float, float], words: s
 
 
 def test_a_drift_is_not_called_the_slowest_mode_of_a_stable_loop() -> None:
-    """The loop is stable except for the drift: the others decay, as fast as its matrix without that eigenvalue says."""
+    """The loop is stable except for the drift: the others decay, at the rate of its second eigenvalue."""
     found = camera_rate.analyse(slow())
     assert found.acting is not None
     assert found.learned is not None

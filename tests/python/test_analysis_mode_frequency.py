@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 import hexservo as hs
 from hexservo.findings.analysis.camera_margins import crossing, exponents, loop_margins
-from hexservo.findings.analysis.camera_rate import at_rest_at_home
 from hexservo.findings.analysis.linear_loop import Clock, SampledLoop
-from hexservo.findings.analysis.loop_of_scenario import clock_of, loop_at_rest, scaled
+from hexservo.findings.analysis.loop_of_scenario import at_rest_at_home, clock_of, loop_at_rest, scaled
 from hexservo.findings.analysis.scene import ALL_AXES, scene_of
 from hexservo.findings.evidence import Table
 

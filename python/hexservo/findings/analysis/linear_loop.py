@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import lcm
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 
@@ -21,6 +21,9 @@ BORDER = 1.0 + 1e-8
 _NOTHING = 1e-6  # of a mode, at most, is left at the end of a pattern: at which frequency it decays is of no account
 
 _LARGEST = 95  # numbers of a pattern's state up to which its eigenvalues are cheap (BLAS stays on one thread)
+
+
+_States = TypeVar("_States", Array, Complex)
 
 
 @dataclass(frozen=True)
@@ -223,7 +226,7 @@ class SampledLoop:
         """
         return self._walk(clock, np.eye(self.size + self.frame.shape[1] * (clock.latency // clock.period)))
 
-    def _walk(self, clock: Clock, states: Array, visit: Callable[[Array], None] | None = None) -> Array:
+    def _walk(self, clock: Clock, states: _States, visit: Callable[[_States], None] | None = None) -> _States:
         """Return states (m, k) at a pattern's start as they are at its end; `visit` gets those of each tick between."""
         size, wide = self.size, self.frame.shape[1]
         at = self._parts["f"]
@@ -351,7 +354,7 @@ class SampledLoop:
         energy = np.abs(np.sum(harmonics.conj() * np.linalg.solve(self.acceleration, harmonics), axis=1))
         turns = np.fft.fftfreq(len(ticks), 1.0 / len(ticks))[:, None]
         ratio = np.exp((logarithms + 2j * np.pi * turns) / len(ticks))  # of two displacements a tick apart
-        energy /= np.maximum(np.abs(ratio - 1.0) / np.maximum(np.abs(ratio + 1.0), 1e-9), 1e-300) ** 2
+        energy /= np.maximum(np.abs(ratio - 1.0) / np.maximum(np.abs(ratio + 1.0), 1e-9), 1e-150) ** 2
         angles[left] += 2.0 * np.pi * turns[np.argmax(energy, axis=0), 0]
         return values, angles
 

@@ -373,7 +373,7 @@ def has_to_hold(scenario: Scenario) -> bool:
 
 
 def keys_of_centre(scenario: Scenario, *, known: bool = False) -> list[str]:
-    """Return the keys that place the centre of mass beside the platform's origin; of what the controller knows."""
+    """Return the keys that place the centre of mass beside the platform's origin; `known`: in the controller's body."""
     robot = scenario.robot
     has_payload = robot.payload.mass > 0.0 and (robot.payload.known or not known)
     placed = {
