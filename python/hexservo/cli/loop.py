@@ -123,8 +123,7 @@ class PositionLoop:
             f"Times are whole numbers of the {1e3 * self.period:.4g} ms between two commands: a frame every "
             f"{_became(self.frame, frame)}, used {_became(self.latency, latency)} after its exposure, and a delay of "
             f"{_became(self.delay, delay)}. `hexservo identify` measures them from a log, of drives that report where "
-            "they are, and rounds to commands too."
-            + (slower if frame > self.frame * (1.0 + _ANSWERED) else "")
+            "they are, and rounds to commands too." + (slower if frame > self.frame * (1.0 + _ANSWERED) else "")
         )
         return document, scenario
 
