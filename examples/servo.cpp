@@ -136,7 +136,7 @@ int main(int argc, char** argv) {
 
   std::printf("gains of the scenario \"%s\"\n", exported::scenario_name);
   const auto gains = exported::controller_gains();  // may throw: before the loop, never in it
-  auto state = hexservo::initial_state(gains);  // takes the memory that the ticks need
+  auto state = hexservo::initial_state(gains);      // takes the memory that the ticks need
   Robot robot(gains);
   const auto settling = exported::settings().metrics;
 

@@ -309,6 +309,10 @@ def test_refusals() -> None:
     printed = hs.load_scenario("paper-nominal").updated({"camera.convention": "as_printed"})
     with pytest.raises(ValueError, match="expected eye_in_hand for MJCF, got as_printed"):
         mjcf(printed)
+    positions = hs.load_scenario("pi-h824-positions")
+    with pytest.raises(ValueError, match=r"got position; position_torque keeps the law, .* as actuators\.motor\.kp"):
+        mjcf(positions)
+    assert 'name="leg6"' in mjcf(positions.updated({"actuators.kind": "position_torque"}))
 
 
 def test_the_command_names_what_the_model_leaves_out(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import pickle
+import re
 import shutil
 import subprocess
 from collections.abc import Iterator
@@ -423,6 +424,23 @@ def test_the_example_settles_with_a_lens(tmp_path: Path, library: Path) -> None:
     run = subprocess.run([program, "1.2"], capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stdout
     assert "features within 2.5 px" in run.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["position", "position_torque"])
+def test_the_example_commands_positions_where_the_drives_take_them(tmp_path: Path, library: Path, kind: str) -> None:
+    """It settles when the simulation does: wrong depths do not matter to a law that knows the points of the target."""
+    scenario = hs.load_scenario("pi-h824-positions")
+    example = (ROOT / "examples" / "servo.cpp").read_text(encoding="utf-8")
+    header = gains_header(scenario.updated({"actuators.kind": kind}))
+    program = compiled(tmp_path, library, example, ("gains.hpp", header))
+    run = subprocess.run([program, "1.5"], capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stdout + run.stderr
+    settled = re.search(r"features within 2 px from ([\d.]+) s on", run.stdout)
+    assert settled
+    simulated = hs.simulate(scenario.updated({"camera.noise": 0.0}))
+    time = hs.metrics(simulated)["settling_time"]
+    assert float(settled[1]) == pytest.approx(time, abs=1.01 * scenario.simulation.step)
 
 
 def test_what_was_lost_on_the_way_to_a_robot() -> None:

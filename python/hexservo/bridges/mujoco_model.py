@@ -95,7 +95,8 @@ def mjcf(scenario: Scenario) -> str:
     require_scenario(scenario)
     if scenario.actuators.kind == "position":
         raise ValueError(
-            "actuators.kind: expected force or position_torque for MJCF, whose motors give forces, got position"
+            "actuators.kind: expected force or position_torque for MJCF, whose motors give forces, got position; "
+            "position_torque keeps the law, with the stiffness of your drives as actuators.motor.kp"
         )
     scene = scene_of(scenario)
     if not scene.has_points:
