@@ -616,6 +616,16 @@ def test_a_task_needs_a_margin_to_the_force_limit(found: LargestStart, paper: hs
         assert f"in the direction of the task from {size:.3g} times the task on (" in str(section)
 
 
+def test_a_start_that_is_merely_slower_is_no_warning(found: LargestStart) -> None:
+    """How long the runs are follows from `metrics.dwell`, and judges nothing: a shorter one has no other verdict."""
+    own = found.own
+    assert own is not None
+    for later, verdict in ((False, "warning"), (None, "warning"), (True, "good")):
+        near = replace(own, tried={1.0: True, 1.1: False}, settles_later=later, overloads={}, beyond={})
+        section = replace(found, directions=(near, *found.directions[1:])).section()
+        assert section.verdict == verdict
+
+
 def test_one_direction_is_in_the_singular() -> None:
     settles, fails = ({1.0: True, 2.0: True}, {1.0: True, 2.0: False})
     unit = np.array([1e-3, 0, 0, 0, 0, 0])

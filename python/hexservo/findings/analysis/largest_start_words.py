@@ -53,7 +53,8 @@ def _verdict(found: LargestStart) -> Verdict:
         return "open"
     if not own.tried.get(1.0, False) or (_leaves_again(found) and not np.isfinite(found.whole_settling)):
         return "bad"
-    ends = [size for size in (own.fails_at, own.overloaded_from) if size is not None]
+    fails_at = None if own.settles_later else own.fails_at  # one that is merely slower fails at no size
+    ends = [size for size in (fails_at, own.overloaded_from) if size is not None]
     return "warning" if ends and min(ends) < _MARGIN else "good"
 
 
