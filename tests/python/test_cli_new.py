@@ -257,7 +257,7 @@ def test_frames_are_not_taken_for_more_frequent_than_they_are(
 
 @pytest.mark.parametrize(("frames", "commands"), [("90", 90), ("30", 60), ("25", 50), ("29.97", 59.94), ("120", 120)])
 def test_the_commands_in_brackets_keep_the_frame_rate(tmp_path: Path, frames: str, commands: float) -> None:
-    """The least multiple of it that is at least 50 a second; other commands make the frames slower, and are told so."""
+    """The least multiple of it that is at least 50 a second; other commands make the frames slower, which is stated."""
     file = tmp_path / "mine.yaml"
     done = answered(file, positions(p20=frames))
     assert done.exit_code == 0, done.output
