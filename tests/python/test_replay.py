@@ -429,7 +429,7 @@ def test_the_example_settles_with_a_lens(tmp_path: Path, library: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["position", "position_torque"])
 def test_the_example_commands_positions_where_the_drives_take_them(tmp_path: Path, library: Path, kind: str) -> None:
-    """It settles when the simulation does: wrong depths do not matter to a law that knows the points of the target."""
+    """It settles when the simulation does: wrong depths do not matter to a law that has the points of the target."""
     scenario = hs.load_scenario("pi-h824-positions")
     example = (ROOT / "examples" / "servo.cpp").read_text(encoding="utf-8")
     header = gains_header(scenario.updated({"actuators.kind": kind}))
