@@ -20,10 +20,11 @@ LIMIT = "actuators.position.acceleration_limit"
 
 def scenario(law: str, changes: dict[str, Any] | None = None, **parameters: Any) -> hs.Scenario:
     """Return a machine that can be bought, with a tag of 80 mm in 0.4 m, and gains for 5 Hz unless others are given."""
+    prediction = "none" if law == "tracking" else "encoder"
     return hs.Scenario(
         name="swing",
         robot={"preset": "pi_h824"},
-        camera={"focal_pixels": 1667.0, "period": 0.01, "noise": 0.1, "prediction": "encoder"},
+        camera={"focal_pixels": 1667.0, "period": 0.01, "noise": 0.1, "prediction": prediction},
         target={
             "tag": {"size": 0.08, "pose": [0.0, 0.0, -0.559, 0.0, 0.0, 0.0]},
             "desired_pose": [0.004, -0.003, 0.002, -0.01, -0.015, 0.02],

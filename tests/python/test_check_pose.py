@@ -103,6 +103,23 @@ def test_a_law_that_follows_the_noise_uses_its_stroke_where_that_is_warned_of(la
         assert all(f"and where {law} sends leg" in line for line in found)
 
 
+@pytest.mark.parametrize(("law", "machine"), [("tracking", POSITIONS), ("resolved_rate", FORCES)])
+def test_near_its_bound_a_target_is_one_with_which_legs_may_go_to_their_ends(law: str, machine: str) -> None:
+    """Some of four runs stay within the stroke and settle as without noise; with five strokes none stays within."""
+    calm = hs.metrics(hs.simulate(small_tag(0.1, law, machine)))["settling_time"]
+    for ratio, words in ((1.3, "legs may go to the ends"), (5.0, "legs go to the ends")):
+        scenario = small_tag(ratio, law, machine)
+        (line,) = about(scenario, "target: at the start")
+        assert f"{words} of their stroke or beyond, and runs may settle late or not at all; take" in line
+        runs = [hs.metrics(hs.simulate(scenario.updated({"seed": seed}))) for seed in range(4)]
+        used = [run["peak_leg_excursion"] / Scene(scenario).stroke for run in runs]
+        if ratio < 3.0:
+            assert any(run["settling_time"] < 1.1 * calm for run in runs)
+            assert min(used) < 0.9
+        else:
+            assert min(used) > 0.98
+
+
 @pytest.mark.parametrize(("ratio", "warned"), [(0.99, False), (1.01, True)])
 def test_the_bound_is_a_stroke(ratio: float, warned: bool) -> None:
     assert bool(about(small_tag(ratio), "target: at the start")) == warned

@@ -137,7 +137,7 @@ def stop_of(scene: Scene) -> tuple[Stop, float, int] | None:
         view, weights = scene.view(scene.start), scene.root_weights[:, 0]
         error = scene.desired - view.features
         # where the image leads from the start, which is farther than the goal for large rotations
-        first = np.linalg.lstsq(weights[:, None] * view.jacobian, weights * error, rcond=None)[0]
+        first = np.asarray(np.linalg.lstsq(weights[:, None] * view.jacobian, weights * error, rcond=None)[0])
         way = max(way, float(np.abs(scene.leg_rates(scene.start, first)).max()))
         if gains.adaptive and gains.gain > gains.gain_far:  # as half way, where legs begin to brake
             spread = gains.gain - gains.gain_far

@@ -59,13 +59,10 @@ def _of_legs(scene: Scene, legs: Array) -> str:
     leg, unit, law = int(legs.argmax()), scene.units.coordinate, scene.scenario.controller.law
     key = key_of_inverse(scene)
     stroke = quantity(scene.stroke, unit)
-    follows = (
-        "legs go to the ends of their stroke or beyond, and runs settle late or not at all"
-        if legs[leg] > _SURELY * scene.stroke
-        else "legs may go to the ends of their stroke or beyond, and runs may settle late or not at all"
-    )
+    go = "go" if legs[leg] > _SURELY * scene.stroke else "may go"
     remedy = f"a larger controller.{law}.{key}" if key else "a law whose prior keeps noise out"
     return (
         f", and where {law} sends leg {leg + 1} by {quantity(float(legs[leg]), unit)}, which has {stroke} of stroke "
-        f"either way: {follows}; take a larger, nearer or better spread target, less noise, or {remedy}"
+        f"either way: legs {go} to the ends of their stroke or beyond, and runs may settle late or not at all; take a "
+        f"larger, nearer or better spread target, less noise, or {remedy}"
     )

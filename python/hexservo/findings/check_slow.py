@@ -9,6 +9,7 @@ import numpy as np
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.home_loop import image_errors, largest_motion
 from hexservo.scenario.fitted import auto_of, chosen_keys
+from hexservo.scenario.laws import laws_with
 from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import below, number, quantity
 
@@ -57,6 +58,8 @@ def _of_adaptation(scene: Scene, key: str, errors: list[float]) -> Iterator[str]
     Lambda A/(K_t + A), however fast the spring is. Where the motion is beyond the range of the fuzzy inputs, weights
     take up less than the linear loop does, and nothing is judged.
     """
+    if scene.scenario.controller.law not in laws_with("memory", "pose_error"):
+        return
     start = np.abs(scene.desired - scene.view(scene.start).features)[scene.machine.weights > 0.0].max()
     alone, adapting = errors[0], errors[-1]
     if alone * start > scene.band or not adapting * start > scene.band:

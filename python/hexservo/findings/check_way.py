@@ -92,10 +92,10 @@ def goal_of_way(scene: Scene) -> tuple[Array, Array, GoalPose] | None:
 
 def way_of(scene: Scene) -> Way | None:
     """Return the way to a goal at rest, straight in the legs and in the pose; None for other tasks and machines."""
-    found = goal_of_way(scene)
-    if found is None:
+    ends = goal_of_way(scene)
+    if ends is None:
         return None
-    begin, legs, best = found
+    begin, legs, best = ends
     start = np.asarray(scene.scenario.simulation.start.pose, dtype=float)
     goal = best.displacement
     shares = np.arange(1, _PARTS + 1) / _PARTS
