@@ -32,8 +32,10 @@ from hexservo.findings.check_target import of_target
 from hexservo.findings.check_tracking import of_tracking
 from hexservo.findings.check_view import of_plane, of_straight_way
 from hexservo.findings.home_loop import poles_at_home
+from hexservo.findings.misread import readings_of_goal
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.block import SAMPLED_MODE
+from hexservo.scenario.goal_readings import question
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.pixels import points_outside
@@ -227,6 +229,8 @@ def _of_goal(scene: Scene) -> Iterator[str]:
         )
     elif reach.goal_within is False and reach.nearest is not None:
         yield f"target.desired_features: the goal is out of reach: {reach.nearest.beyond}"
+    if readings := readings_of_goal(scene):
+        yield f"target.desired_features: {question(readings)}"
     if scene.settled_start is not None:
         yield (
             f"metrics.band: the start is within {number(scene.band)} px of the goal "

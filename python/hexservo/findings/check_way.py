@@ -11,6 +11,7 @@ import numpy as np
 from hexservo import _core
 from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.poses import Poses
+from hexservo.findings.analysis.reach import reach_of_start_and_goal
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.bisection import last_that_holds
 from hexservo.scenario.laws import Tracking
@@ -67,7 +68,10 @@ def of_way(scene: Scene) -> Iterator[str]:
 
 
 def way_of(scene: Scene) -> Way | None:
-    """Return the way to a goal at rest, straight in the legs and in the pose; None for other tasks and machines."""
+    """Return the way to a goal at rest, straight in the legs and in the pose; None for other tasks and machines.
+
+    None too for a goal that the legs do not reach, however long they take.
+    """
     scenario = scene.scenario
     gains = scenario.controller.gains
     moving = scenario.target.motion.kind != "none" or moves(scenario.base_motion)
@@ -76,7 +80,7 @@ def way_of(scene: Scene) -> Way | None:
     if isinstance(gains, Tracking) and gains.follow != "pose":
         return None
     goals = find_goals(scene)
-    if goals is None or not goals.reachable:
+    if goals is None or not goals.reachable or reach_of_start_and_goal(scenario).goal_within is False:
         return None
     start = np.asarray(scenario.simulation.start.pose, dtype=float)
     goal = goals.best.displacement
