@@ -23,6 +23,7 @@ from hexservo.findings.check_joints import of_joints
 from hexservo.findings.check_keys import keys_without_effect
 from hexservo.findings.check_machine import of_machine
 from hexservo.findings.check_motion import of_motion
+from hexservo.findings.check_observability import of_observability
 from hexservo.findings.check_period import of_period, of_step
 from hexservo.findings.check_points import of_points
 from hexservo.findings.check_positions import of_positions
@@ -100,13 +101,15 @@ def unlikely(scenario: Scenario, *, by_law: bool = True) -> list[str]:
 
 
 def notes(scenario: Scenario) -> list[str]:
-    """Return a sentence for each key without effect, on what a prior leaves of the pose, a base's drift and the brake.
+    """Return a sentence for each key without effect, on what an image and a prior leave of the pose, drift and brake.
 
-    They are those of `of_prior`, `of_drift` and `of_brake`. The brake (which simulates) acts in a run that has a
-    timeout of the camera; on a robot it acts in any case, and `robot_notes` has its sentence.
+    They are those of `of_observability`, `of_prior`, `of_drift` and `of_brake`. The brake (which simulates) acts in a
+    run that has a timeout of the camera; on a robot it acts in any case, and `robot_notes` has its sentence.
     """
     scene = scene_of(scenario)
-    found = keys_without_effect(scenario) + evaluated(of_prior, scene) + evaluated(of_drift, scene)
+    found = keys_without_effect(scenario)
+    for check in (of_observability, of_prior, of_drift):
+        found += evaluated(check, scene)
     brakes = scenario.simulation.mode == SAMPLED_MODE and scenario.camera.timeout is not None
     return found + (evaluated(of_brake, scene) if brakes else [])
 

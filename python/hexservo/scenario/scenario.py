@@ -33,6 +33,7 @@ from hexservo.scenario.unit_slips import with_slip
 from hexservo.scenario.wording import wrong_type
 from hexservo.scenario.yaml import ScenarioError, dump_yaml, load_yaml, read_yaml
 
+_OF_CAMPAIGN = {"scenario", "vary", "require"}  # keys that a campaign file must have
 _NO_POSE = "target.desired_features: expected features that some pose gives"
 
 
@@ -337,4 +338,9 @@ def _in_folder(document: Any, folder: Path, *blocks: str) -> Any:
 def _as_block(value: Any) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise ScenarioError(f"expected a scenario: a mapping with the keys {listing(Blocks)}; got {shown_value(value)}")
+    if value.keys() >= _OF_CAMPAIGN:
+        raise ScenarioError(
+            "expected a scenario, got a campaign, with the keys scenario, vary and require: `hexservo campaign` runs "
+            "it, and its scenario stands under the first"
+        )
     return value
