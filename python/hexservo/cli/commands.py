@@ -261,7 +261,8 @@ def check(
 
     Every error is a line on standard error, and the exit code is 2; without errors it is 0. Warnings are about legal
     but probably unintended settings, such as a weight beyond the force limit; notes list keys without effect, state
-    what the prior of a law leaves of the pose, and name a brake that is unstable or needs more than the legs have.
+    what one image and the prior of a law leave of the pose, and name a brake that is unstable or needs more than the
+    legs have.
     """
     with errors_as_messages():
         from hexservo.findings.check import notes, unlikely

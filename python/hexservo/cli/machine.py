@@ -154,11 +154,11 @@ def _robot(dialogue: Dialogue) -> dict[str, Any]:
         )
         robot["stroke"] = radians(travel)
     else:
-        home = 1e3 * require_hold(robot)
+        lengths = 1e3 * require_hold(robot)
 
         def fits(travel: list[float]) -> str | None:
             problem = _about_home(travel)
-            return problem and problem + of_lengths(travel[0], travel[1], home, "mm")
+            return problem and problem + of_lengths(travel[0], travel[1], lengths, "mm")
 
         travel = dialogue.numbers("Travel of a leg from home: shortest longest [mm]", "-15 15", 2, fits)
         robot["stroke"] = metres(travel)

@@ -13,7 +13,7 @@ from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene, View
 from hexservo.findings.bisection import last_that_holds
 from hexservo.findings.check_points import of_points
-from hexservo.findings.prior import legs_of_noise
+from hexservo.findings.prior import key_of_inverse, legs_of_noise
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.pixels import points_outside
 from hexservo.scenario.tag import CORNERS
@@ -27,12 +27,12 @@ _SAME = 1e-6  # of the side: sides of a square that are equal
 def of_observability(scene: Scene) -> Iterator[str]:
     """Yield a sentence where noise in one image makes the pose uncertain by a tenth of the stroke or more.
 
-    That is the warning of the part conditioning of an analysis, for a camera with noise and a law whose own estimate
-    of the pose has a tenth of the stroke of it: a prior may keep it out. Where the uncertainty has a warning of a
-    check (`of_points`) there is none.
+    That is the warning of the part conditioning of an analysis, for a camera with noise and a law that estimates the
+    pose without a prior or a damping, which keep noise out. Where a warning of a check has it (`of_points`) there is
+    none.
     """
     noise = frames_noise(scene.scenario)
-    if not scene.has_points or not noise * float(legs_of_noise(scene).max()) > GRIP * scene.stroke:
+    if noise == 0.0 or not scene.has_points or key_of_inverse(scene) or not legs_of_noise(scene).any():
         return
     sights, most = _sights(scene, scene.points), GRIP * scene.stroke_length / noise
     warned = any("uncertain" in sentence for sentence in of_points(scene))

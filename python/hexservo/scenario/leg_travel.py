@@ -36,7 +36,7 @@ def travel(stroke: Any, centre: Any, robot: Callable[[], Robot]) -> dict[str, fl
         return {}  # refused at its own place, if it is no number
     shortest, longest = map(float, stroke)
     if not shortest <= 0.0 <= longest or shortest == longest:
-        expected = "expected [shortest, longest] travel from home, with home between them"
+        expected = "expected [shortest, longest] travel with home between them"
         raise refusal((("stroke",), f"{expected}, got {shown_value(stroke)}{_hint(shortest, longest, robot)}"))
     if centre:
         raise refusal((("stroke_centre",), f"expected null beside [shortest, longest], got {shown_value(centre)}"))
