@@ -40,6 +40,7 @@ from hexservo.run.metrics import OF_LIMITS, asked_metrics
 from hexservo.run.variant import ENVIRONMENT_VARIABLE, VariantError, available_variants, chosen_kernel
 from hexservo.run.variations import checked_variations
 from hexservo.scenario.block import Block
+from hexservo.scenario.blocks import Blocks
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.noise import is_random
 from hexservo.scenario.plain import dotted, plain
@@ -50,6 +51,7 @@ from hexservo.scenario.wording import wrong_type
 from hexservo.scenario.yaml import ScenarioError, dump_yaml, read_yaml
 
 MAX_RUNS = 10**12
+_REQUIRED = frozenset({"scenario", "vary", "require"})  # keys of a file
 CHUNK_SIZE = 5000
 MOST_LOG_EVERY = 10**9  # that a scenario may have
 _DURATION, _DWELL = "simulation.duration", "metrics.dwell"
@@ -393,6 +395,12 @@ def load_plan(
         raise ScenarioError(
             f"expected a campaign: a block with scenario, vary and require; got {shown_value(document)}", name
         )
+    if _REQUIRED.isdisjoint(document) and (Blocks.model_fields.keys() - CampaignPlan.model_fields) & document.keys():
+        raise ScenarioError(
+            "expected a campaign, with the keys scenario, vary and require, got a scenario: `hexservo run` runs it, "
+            "and a campaign names its file under scenario, beside what varies (docs/campaigns.md)",
+            name,
+        )
     document = {**document, **{key: value for key, value in keys.items() if value is not None}}
     before = document.get("scenario")
     if changes and before is not None:
@@ -450,7 +458,8 @@ def _read(source: str | os.PathLike[str]) -> Any:
                 return read_yaml(path)
         if not os.path.lexists(source):
             names = ", ".join(campaign_names())
-            problem = f"no such file, and no packaged campaign has that name; packaged: {names}"
+            other = ", which is that of a scenario (`hexservo run`)" if source in scenario_names() else ""
+            problem = f"no such file, and no packaged campaign has that name{other}; packaged: {names}"
             raise ScenarioError(problem, f'"{source}"')
     document = read_yaml(source)
     if isinstance(document, dict) and isinstance(document.get("scenario"), str):

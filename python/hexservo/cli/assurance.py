@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
 _LONGEST_COMMAND = 400  # characters that are printed; a longer one has arrays, and the file holds them too
 NOT_FEASIBLE = 1
+PACKAGED = tuple(f"campaign-{name}" for name in ("composite-30hz", "paper", "paper-gravity", "real-machine"))
+"""Packaged campaigns, as `campaign_names` lists them: the help text does not import what reads them."""
 _ThreadsOption = Annotated[
     int | None, typer.Option("--threads", metavar="N", help="Threads to use.  [default: one for each core]")
 ]
@@ -49,7 +51,9 @@ def campaign(
     file: Annotated[
         str,
         typer.Argument(
-            metavar="CAMPAIGN", callback=no_dash, help="Name of a packaged campaign, or path of a YAML file."
+            metavar="CAMPAIGN",
+            callback=no_dash,
+            help=f"Name of a packaged campaign ({', '.join(PACKAGED)}), or path of a YAML file.",
         ),
     ],
     out: Annotated[str, path_option("Keep the runs there: a new folder, or that of the same campaign.")],

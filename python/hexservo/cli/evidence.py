@@ -134,7 +134,8 @@ def check(
 
     Every error is a line on standard error, and the exit code is 2; without errors it is 0. Warnings are about legal
     but probably unintended settings, such as a weight beyond the force limit; notes list keys without effect, state
-    what the prior of a law leaves of the pose, and name a brake that is unstable or needs more than the legs have.
+    what one image and the prior of a law leave of the pose, and name a brake that is unstable or needs more than the
+    legs have.
     The scenario is run as well, unless it has more than 200 000 steps: a run that ends early, does not settle, or
     exceeds limits of the legs is a warning.
     """

@@ -18,6 +18,7 @@ from hexservo.cli.loop import ask_loop
 from hexservo.cli.parts import problem_of_image, require_hold
 from hexservo.cli.terminal import complain, errors_as_messages, interrupted, write
 from hexservo.cli.units import DEGREE, LEAST_LENGTH, metres, radians, rounded
+from hexservo.scenario.leg_travel import of_lengths
 from hexservo.scenario.rules import LEAST_POINTS, MOST_POINTS, Name
 
 if TYPE_CHECKING:
@@ -153,8 +154,13 @@ def _robot(dialogue: Dialogue) -> dict[str, Any]:
         )
         robot["stroke"] = radians(travel)
     else:
-        require_hold(robot)
-        travel = dialogue.numbers("Travel of a leg from home: shortest longest [mm]", "-15 15", 2, _about_home)
+        lengths = 1e3 * require_hold(robot)
+
+        def fits(travel: list[float]) -> str | None:
+            problem = _about_home(travel)
+            return problem and problem + of_lengths(travel[0], travel[1], lengths, "mm")
+
+        travel = dialogue.numbers("Travel of a leg from home: shortest longest [mm]", "-15 15", 2, fits)
         robot["stroke"] = metres(travel)
     robot["gravity"] = 9.81
     robot["mass"] = dialogue.number("Mass of the platform with the camera [kg]", 5.0, _MASS)

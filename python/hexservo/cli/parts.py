@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from hexservo import _core
+from hexservo.scenario.arrays import Array
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.blocks import Blocks, Camera, Robot
+from hexservo.scenario.leg_travel import home_lengths
 from hexservo.scenario.parameters import Settings, core_settings
 from hexservo.scenario.yaml import ScenarioError
 
@@ -16,8 +17,13 @@ _UNASKED = {"mass": 1.0, "inertia": [1.0, 1.0, 1.0], "stroke": 1.0, "force_limit
 _CORNERS = np.array([[-1.0, 1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]])
 
 
-def require_hold(robot: dict[str, Any]) -> None:
+def require_hold(robot: dict[str, Any]) -> Array:
     """Refuse joints and a home where the legs do not hold the platform, by the robot's keys as far as they are known.
+
+    Returns
+    -------
+    (6,) array
+        Leg lengths at home [m], of cranks angles [rad].
 
     Raises
     ------
@@ -25,7 +31,7 @@ def require_hold(robot: dict[str, Any]) -> None:
         With what the core expects of joints and home.
     """
     try:
-        _core.Hexapod(_settings(robot=Robot(**{**_UNASKED, **robot})).robot)
+        return home_lengths(Robot(**{**_UNASKED, **robot}))
     except ValueError as error:  # "robot.home_position: expected ..., got ..."
         raise ScenarioError([f"joints and home: {str(error).partition(': ')[2]}"]) from None
 

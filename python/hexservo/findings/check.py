@@ -24,6 +24,7 @@ from hexservo.findings.check_joints import of_joints
 from hexservo.findings.check_keys import keys_without_effect
 from hexservo.findings.check_machine import of_machine
 from hexservo.findings.check_motion import of_motion
+from hexservo.findings.check_observability import of_observability
 from hexservo.findings.check_overshoot import of_overshoot
 from hexservo.findings.check_period import of_period, of_step
 from hexservo.findings.check_points import of_points
@@ -34,7 +35,9 @@ from hexservo.findings.check_target import of_target
 from hexservo.findings.check_tracking import of_tracking
 from hexservo.findings.check_view import of_plane, of_straight_way
 from hexservo.findings.home_loop import poles_at_home
+from hexservo.findings.misread import readings_of_goal
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.goal_readings import question
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.parameters import frame_period
 from hexservo.scenario.pixels import points_outside
@@ -90,13 +93,15 @@ def unlikely(scenario: Scenario, *, by_law: bool = True) -> list[str]:
 
 
 def notes(scenario: Scenario) -> list[str]:
-    """Return a sentence for each key without effect, on what a prior leaves of the pose, a base's drift and the brake.
+    """Return a sentence for each key without effect, on what an image and a prior leave of the pose, drift and brake.
 
-    They are those of `of_prior`, `of_drift` and `of_brake`. The brake (which simulates) acts in a run that has a
-    timeout of the camera; on a robot it acts in any case, and `robot_notes` has its sentence.
+    They are those of `of_observability`, `of_prior`, `of_drift` and `of_brake`. The brake (which simulates) acts in a
+    run that has a timeout of the camera; on a robot it acts in any case, and `robot_notes` has its sentence.
     """
     scene = scene_of(scenario)
-    found = keys_without_effect(scenario) + evaluated(of_prior, scene) + evaluated(of_drift, scene)
+    found = keys_without_effect(scenario)
+    for check in (of_observability, of_prior, of_drift):
+        found += evaluated(check, scene)
     brakes = scenario.sampled and scenario.camera.timeout is not None
     return found + (evaluated(of_brake, scene) if brakes else [])
 
@@ -218,6 +223,8 @@ def _of_goal(scene: Scene) -> Iterator[str]:
         )
     elif reach.goal_within is False and reach.nearest is not None:
         yield f"target.desired_features: the goal is out of reach: {reach.nearest.beyond}"
+    if readings := readings_of_goal(scene):
+        yield f"target.desired_features: {question(readings)}"
     if scene.settled_start is not None:
         yield (
             f"metrics.band: the start is within {number(scene.band)} px of the goal "

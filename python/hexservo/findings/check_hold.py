@@ -13,6 +13,7 @@ from hexservo.findings.analysis.goal import GoalPose, find_goals
 from hexservo.findings.analysis.loop_of_scenario import side_of_target
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.check_target import leaves_reach
+from hexservo.findings.misread import readings_of_goal
 from hexservo.findings.target_path import moving_keys, path_at
 from hexservo.findings.tracking_runs import MOVED, RUNS, long_enough, seeds_of_runs
 from hexservo.run.batch import simulate_batch, whole
@@ -48,12 +49,12 @@ def of_hold(scene: Scene) -> Iterator[str]:
     legs do not reach these. In sampled mode, where they settle, from the goal too: noise and lost points take a run
     out of the band for a while, which need not be its end; and before a target that moves, where they keep that. At
     most 20 s and 100 000 steps of a run are looked at. The law `tracking` before a target in motion has
-    `check_tracking`.
+    `check_tracking`, a goal image that is probably misread `readings_of_goal`.
     """
     scenario = scene.scenario
     acts = scene.has_points and not (scenario.sampled and scenario.camera.dropout == 1.0)
     goals = find_goals(scene) if acts else None
-    if goals is None or not goals.reachable:
+    if goals is None or not goals.reachable or readings_of_goal(scene):
         return
     keys = moving_keys(scenario)
     begin = {"simulation.start.pose": goals.best.displacement.tolist(), "simulation.start.twist": [0.0] * 6}

@@ -9,6 +9,7 @@ import numpy as np
 
 from hexservo.findings.analysis.scene import Scene
 from hexservo.scenario.arrays import Array
+from hexservo.scenario.unit_slips import far_home, joint_radius
 from hexservo.scenario.wording import number, quantity
 
 _CROSSED = 1e-3  # of the shortest leg, a distance of two legs that no two legs with a width have
@@ -17,8 +18,9 @@ _WIDEST = 120.0  # [deg], view across the diagonal of a lens that is no fisheye
 _LOAD = 0.2  # of the weight that the controller assumes, a load that it does not know
 _MICROSCOPIC = 2e-3  # [m]: no platform with its home is that small
 _GIGANTIC = 20.0  # [m]: no joints are that far from the middle, and no platform from its base
-_FAR = 20.0  # times the larger radius of the joints, a distance of home that legs between them do not have
 _COMPACT = 0.005  # of the platform's radius, a radius of gyration of a body that is no point between its joints
+_DENSE = 0.03  # of the same, one that a body with a mass of 1000 times has, as one in g
+_AT_ONCE = 0.02  # [s], in which no leg of a machine crosses its whole travel
 _SPREAD = 10.0  # times the platform's radius, a radius of gyration that no body on its joints has
 _TURNED = 0.2  # [rad], an attitude of the camera that is wrong by more than a hand-eye calibration leaves
 
@@ -33,6 +35,7 @@ def of_machine(scene: Scene) -> Iterator[str]:
     """
     yield from _of_size(scene)
     yield from _of_inertia(scene)
+    yield from _of_speed_limits(scene)
     yield from _of_mount_errors(scene)
     yield from _of_crossed_legs(scene)
     yield from _of_view(scene)
@@ -42,35 +45,26 @@ def of_machine(scene: Scene) -> Iterator[str]:
 def _of_size(scene: Scene) -> Iterator[str]:
     """Find metres that were given for millimetres, and millimetres for metres."""
     radius, height = scene.platform_radius, float(np.linalg.norm(scene.home.position))
-    joints = _joint_radius(scene)
+    joints = joint_radius(scene.scenario.robot)
     if max(radius, height) < _MICROSCOPIC:
         yield (
             f"robot: a platform of {quantity(radius, 'm')} radius, {quantity(height, 'm')} from the base at home, is "
             "very small; are its numbers in the unit that is asked for (metres in a file, mm in `hexservo new`)?"
         )
-    if height > _FAR * joints and joints < _MICROSCOPIC:
+    far = far_home(scene.scenario.robot)
+    if far is not None and joints < _MICROSCOPIC:
         yield (
             f"robot: joints {quantity(joints, 'm')} from the middle, with home {quantity(height, 'm')} from the base, "
             "are very near to it; are they in the unit that is asked for (metres in a file, mm in `hexservo new`)?"
         )
-    elif height > _FAR * joints:
-        yield (
-            f"robot.home_position: {quantity(height, 'm')} from the base is more than {_FAR:.0f} times the "
-            f"{quantity(joints, 'm')} from the middle to the joints; lengths are in metres: in mm it would be "
-            f"{quantity(height / 1e3, 'm')}"
-        )
+    elif far is not None:
+        yield f"robot.home_position: {far}"
     elif max(joints, height) > _GIGANTIC:
         yield (
             f"robot: joints {quantity(joints, 'm')} from the middle, with home {quantity(height, 'm')} from the base, "
             f"are a very large machine; lengths are in metres: in mm these would be {quantity(joints / 1e3, 'm')} and "
             f"{quantity(height / 1e3, 'm')}"
         )
-
-
-def _joint_radius(scene: Scene) -> float:
-    """Return the largest distance of a joint from the origin of its body, of base and platform [m]."""
-    base = np.linalg.norm(np.asarray(scene.hexapod.base_joints), axis=1).max()
-    return max(scene.platform_radius, float(base))
 
 
 def _of_inertia(scene: Scene) -> Iterator[str]:
@@ -81,6 +75,14 @@ def _of_inertia(scene: Scene) -> Iterator[str]:
     gyration, widest = (float(np.sqrt(max(moment, 0.0) / body.mass)) for moment in (smallest, largest))
     payload = scene.scenario.robot.payload
     together = ", of platform and payload," if payload.known and payload.mass > 0.0 else ""
+    limit = scene.scenario.robot.force_limit
+    carried = float(np.abs(scene.resting_forces(scene.home)).max())
+    if _COMPACT * radius <= gyration < _DENSE * radius and 1e-3 * carried < limit < carried:
+        yield (
+            f"robot.mass: {number(body.mass)} kg{together} with {number(smallest)} kg m^2 is a radius of gyration of "
+            f"{quantity(gyration, 'm')}, {gyration / radius:.1%} of the platform's radius, and more than "
+            f"robot.force_limit carries; masses are in kg: in g it would be {number(1e-3 * body.mass)} kg"
+        )
     if gyration < _COMPACT * radius:
         yield (
             f"robot.inertia: {number(smallest)} kg m^2 with {number(body.mass)} kg{together} is a radius of gyration "
@@ -96,9 +98,28 @@ def _of_inertia(scene: Scene) -> Iterator[str]:
         )
 
 
+def _of_speed_limits(scene: Scene) -> Iterator[str]:
+    """Find speeds in mm/s or degrees per second."""
+    robot, units, small = scene.scenario.robot, scene.units, "mm/s"
+    scale = 1e-3
+    if scene.hexapod.rotary:
+        small, scale = "deg/s", float(np.deg2rad(1.0))
+    limits = {"robot.speed_limit": robot.speed_limit}
+    if scene.scenario.actuators.kind != "force":
+        limits["actuators.position.speed_limit"] = scene.scenario.actuators.position.speed_limit
+    travel = 2.0 * scene.stroke
+    for key, limit in limits.items():
+        if limit is not None and limit * _AT_ONCE > travel:
+            yield (
+                f"{key}: with {quantity(limit, units.rate)} a leg crosses its whole travel, "
+                f"{quantity(travel, units.coordinate)}, in {quantity(travel / limit, 's')}; speeds are in "
+                f"{units.rate}: in {small} it would be {quantity(scale * limit, units.rate)}"
+            )
+
+
 def _of_mount_errors(scene: Scene) -> Iterator[str]:
     """Find errors of the hand-eye calibration in degrees or millimetres."""
-    error, joints = scene.scenario.uncertainty.mount, _joint_radius(scene)
+    error, joints = scene.scenario.uncertainty.mount, joint_radius(scene.scenario.robot)
     turn, shift = (float(np.linalg.norm(vector)) for vector in (error.rotation, error.position))
     if turn > _TURNED:
         yield (

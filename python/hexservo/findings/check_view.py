@@ -8,6 +8,7 @@ import numpy as np
 
 from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.scene import Scene
+from hexservo.findings.misread import readings_of_goal
 from hexservo.findings.target_path import follows_direction, moving_keys
 from hexservo.scenario.arrays import Array
 from hexservo.scenario.pixels import points_outside
@@ -24,10 +25,10 @@ _PARTS = 200  # of the way, in which it is looked at
 def of_plane(scene: Scene) -> Iterator[str]:
     """Yield a sentence for a start and a goal on different sides of the plane of a target at rest.
 
-    Any way from one to the other passes through the plane.
+    Any way from one to the other passes through the plane. A goal image that is probably misread has its own sentence.
     """
     triangle = triangle_of_plane(scene.points) if _goal(scene) is not None else None
-    if triangle is not None and _sides(scene, triangle) < 0.0:
+    if triangle is not None and _sides(scene, triangle) < 0.0 and not readings_of_goal(scene):
         yield (
             "simulation.start.pose: the start and the goal are on different sides of the plane of the target's points: "
             "on any way the camera passes through it, where it sees them edge-on, and before that it sees a tag or a "

@@ -11,6 +11,7 @@ import numpy as np
 from hexservo import _core
 from hexservo.findings.analysis.goal import GoalPose, find_goals
 from hexservo.findings.analysis.poses import Poses
+from hexservo.findings.analysis.reach import reach_of_start_and_goal
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.bisection import last_that_holds
 from hexservo.findings.target_path import follows_direction
@@ -69,7 +70,10 @@ def of_way(scene: Scene) -> Iterator[str]:
 
 
 def goal_of_way(scene: Scene) -> tuple[Array, Array, GoalPose] | None:
-    """Return where the legs start, how far they go (6,) [m; of cranks rad], and the goal; None as `way_of`."""
+    """Return where the legs start, how far they go (6,) [m; of cranks rad], and the goal; None as `way_of`.
+
+    None too for a goal that the legs do not reach, however long they take.
+    """
     scenario = scene.scenario
     moving = scenario.target.motion.kind != "none" or moves(scenario.base_motion)
     if moving or np.any(scenario.simulation.start.twist) or scene.settled_start is not None:
@@ -77,7 +81,7 @@ def goal_of_way(scene: Scene) -> tuple[Array, Array, GoalPose] | None:
     if follows_direction(scenario):
         return None
     goals = find_goals(scene)
-    if goals is None or not goals.reachable:
+    if goals is None or not goals.reachable or reach_of_start_and_goal(scenario).goal_within is False:
         return None
     goal = goals.best.view.pose
     ends = scene.leg_travel(

@@ -31,6 +31,7 @@ from hexservo.scenario.block import (
 from hexservo.scenario.core_defaults import core_default, from_core
 from hexservo.scenario.drives import Actuators
 from hexservo.scenario.laws import Controller
+from hexservo.scenario.leg_travel import travel
 from hexservo.scenario.motion import BaseMotion, TargetMotion, moves
 from hexservo.scenario.plain import plain
 from hexservo.scenario.pose_rules import DisplacementRule, PoseRule
@@ -53,7 +54,6 @@ from hexservo.scenario.rules import (
     TrueOr,
     Vector,
     diagonal_if_diagonal,
-    is_number,
     map_lists,
     refusal,
     shown_value,
@@ -87,19 +87,6 @@ class Cranks(Block):
     zero: Annotated[Matrix | None, ArrayRule((6, 3), or_null=True)] = None  # (6, 3), direction at angle 0, likewise
     # (6,), 1 or -1: which of the two angles that a pose has
     branch: Annotated[Vector | None, ArrayRule((6,), Number(at_least=-1, at_most=1), or_null=True)] = None
-
-
-def _travel(stroke: Any, centre: Any) -> dict[str, float]:
-    """Return stroke and its middle where the stroke is given as the shortest and the longest travel."""
-    if not isinstance(stroke, list) or len(stroke) != 2 or not all(map(is_number, stroke)):
-        return {}  # refused at its own place, if it is no number
-    shortest, longest = map(float, stroke)
-    if not shortest <= 0.0 <= longest or shortest == longest:
-        expected = "expected [shortest, longest] travel with home between them"
-        raise refusal((("stroke",), f"{expected}, got {shown_value(stroke)}"))
-    if centre:
-        raise refusal((("stroke_centre",), f"expected null beside [shortest, longest], got {shown_value(centre)}"))
-    return {"stroke": (longest - shortest) / 2, "stroke_centre": (longest + shortest) / 2}
 
 
 def circle_keys(side: str) -> tuple[str, str]:
@@ -154,7 +141,8 @@ class Robot(Block):
         if not isinstance(data, dict):
             return data
         given = {key: value for key, value in data.items() if value is not None}
-        given |= _travel(given.get("stroke"), given.get("stroke_centre"))
+        whole = {**data, "stroke": 1.0, "stroke_centre": None}
+        given |= travel(given.get("stroke"), given.get("stroke_centre"), lambda: cls.model_validate(whole))
         # Joints given one by one leave no circle.
         other = {key: None for side in SIDES if f"{side}_joints" in given for key in circle_keys(side)}
         preset = given.get("preset")

@@ -14,7 +14,7 @@ from hexservo import _core
 from hexservo.scenario.block import SAMPLED_MODE
 
 if TYPE_CHECKING:
-    from hexservo.scenario.blocks import Blocks
+    from hexservo.scenario.blocks import Blocks, Robot
 
 _NEVER = 700.0  # an exponent that is still a number
 
@@ -42,10 +42,25 @@ def core_settings(scenario: Blocks) -> Settings:
     settings = _core.Settings(law)
     keys, values_of = _walk(law)
     for key, value in zip(keys, values_of(scenario), strict=True):
-        in_core = value if type(value) is float else _in_core(key, value)
-        if in_core is not None or key.none is not None:  # null is the core's default, or stands for a number
-            settings[key.name] = in_core
+        _put(settings, key, value)
     return settings
+
+
+def robot_settings(robot: Robot) -> Settings:
+    """Return the core's settings with the keys of a robot alone, as they are: the others have the core's defaults."""
+    law, head = next(iter(_core.LAW_TRAITS)), "robot."
+    settings = _core.Settings(law)
+    for key in _keys(law):
+        if key.name.startswith(head):
+            _put(settings, key, attrgetter(key.name.removeprefix(head))(robot))
+    return settings
+
+
+def _put(settings: Settings, key: _core.ScenarioKey, value: Any) -> None:
+    """Set a key to the value of a scenario."""
+    in_core = value if type(value) is float else _in_core(key, value)
+    if in_core is not None or key.none is not None:  # null is the core's default, or stands for a number
+        settings[key.name] = in_core
 
 
 @cache

@@ -17,7 +17,8 @@ from hexservo.scenario.plain import plain, put
 from hexservo.scenario.recording import kinematic
 from hexservo.scenario.rules import Vector
 from hexservo.scenario.tag import corners, nodes, normal, rotation_matrix
-from hexservo.scenario.wording import number, quantity
+from hexservo.scenario.unit_slips import BEHIND
+from hexservo.scenario.wording import number, quantity, vector
 
 _BESIDE = math.tan(math.radians(80.0))  # of a point to the optical axis, over its depth: few lenses show more
 
@@ -119,12 +120,32 @@ def _require_front(scenario: Blocks, kind: str, pose: Vector) -> None:
         name: (np.array(pose[:3]), rotation_matrix(pose[3:])) for name, pose in poses.items() if pose is not None
     }
     for name, (shift, turn) in places.items():
-        camera, _ = _camera_at(scenario, shift, turn)
+        camera, looks = _camera_at(scenario, shift, turn)
+        ahead = looks[:, 2] if scenario.camera.axes == "opencv" else -looks[:, 2]
+        depth = float((np.array(pose[:3]) - camera) @ ahead)
+        if depth <= 0.0:  # behind it, where no side is seen
+            if name == "home":
+                raise ValueError(_behind(scenario, kind, pose, depth, camera, ahead))
+            continue  # the core refuses the pose
         if not float(np.array(normal(pose)) @ (camera - np.array(pose[:3]))) > 0.0:
             raise ValueError(
                 f"target.{kind}.pose: expected a {kind} whose front, where its z axis points, is before the camera at "
                 f"{name}, got one with its back to it"
             )
+
+
+def _behind(scenario: Blocks, kind: str, pose: Vector, depth: float, camera: Array, ahead: Array) -> str:
+    """Return that the camera, at a place (3,) [m] and looking along a direction (3,), has a tag behind it at home."""
+    robot, on_base = scenario.robot, scenario.camera.mount.on == "base"
+    frame = "platform's frame, in which the pose is" if on_base else "base frame"
+    down = ""
+    if not on_base and robot.gravity[2] > 0.0 and pose[2] > 0.0 > robot.home_position[2]:
+        down = "; z of the base frame points down (robot.gravity): what is above the base has a negative z"
+    return (
+        f"target.{kind}.pose: expected a {kind} in front of the camera, which at home is at {vector(camera)} m and "
+        f"looks along {vector(np.round(ahead, 6))} of the {frame} (robot.home_position, camera.mount, camera.axes), "
+        f"got one {quantity(-depth, 'm')}{BEHIND}{down}"
+    )
 
 
 def _camera_at(scenario: Blocks, shift: Array, turn: Array) -> tuple[Array, Array]:

@@ -20,6 +20,7 @@ from pydantic import ValidationError, model_validator
 from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.blocks import DEFAULT_DEPTH, DEFAULT_PRESET, Blocks, preset_values
 from hexservo.scenario.fitted import chosen_keys, idle_gains, with_fitted_gains, without_fitted_gains
+from hexservo.scenario.goal_readings import best_readings, question
 from hexservo.scenario.keys import sampled_keys, value_at, without_effect
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.placing import problem_of_recording, read_motion, read_target
@@ -28,8 +29,12 @@ from hexservo.scenario.problems import in_words, listing
 from hexservo.scenario.reading import SCENARIO_OF_RUN
 from hexservo.scenario.rules import did_you_mean, shown_value
 from hexservo.scenario.tag import require_counts_elsewhere
+from hexservo.scenario.unit_slips import with_slip
 from hexservo.scenario.wording import wrong_type
 from hexservo.scenario.yaml import ScenarioError, dump_yaml, load_yaml, read_yaml
+
+_OF_CAMPAIGN = {"scenario", "vary", "require"}  # keys that a campaign file must have
+_NO_POSE = "target.desired_features: expected features that some pose gives"
 
 
 class Scenario(Blocks):
@@ -66,8 +71,13 @@ class Scenario(Blocks):
     def _can_run(self) -> Scenario:
         self._refuse_keys_without_effect()
         read_motion(self)
-        read_target(self)
-        core_parameters(self)
+        try:
+            read_target(self)
+            core_parameters(self)
+        except ValidationError:
+            raise
+        except ValueError as error:
+            raise ValueError(with_slip(str(error), self)) from None
         return self
 
     @property
@@ -211,7 +221,7 @@ class Document:
         try:
             return Scenario(**_as_block(keys))
         except ScenarioError as error:
-            raise ScenarioError(error.problems, source) from None
+            raise ScenarioError([_with_reading(problem, keys) for problem in error.problems], source) from None
 
     def _with(self, changes: Mapping[str, Any]) -> tuple[dict[str, Any], str | None]:
         """Return the keys with changes, and what heads errors: the source if it is not valid without them."""
@@ -279,6 +289,19 @@ def _packaged(name: str) -> Document:
     return Document(load_yaml(text, name), name)
 
 
+def _with_reading(problem: str, keys: Any) -> str:
+    """Return a problem of a written scenario, with what a goal image may mean that no pose shows as it stands."""
+    if not problem.startswith(_NO_POSE):
+        return problem
+    try:
+        blocks = Blocks(**with_fitted_gains(keys))
+        read_target(blocks)
+        readings = best_readings(blocks)
+    except ValueError:  # of other keys, which have their own problems
+        return problem
+    return f"{problem}; {question(readings)}" if readings else problem
+
+
 def _chosen(keys: dict[str, Any], whole: dict[str, Any], written: dict[str, Any]) -> dict[str, Any]:
     """Return a block without the keys that repeat what follows from others: in the whole of it, but not `written`."""
     return {
@@ -320,4 +343,9 @@ def _in_folder(document: Any, folder: Path, *blocks: str) -> Any:
 def _as_block(value: Any) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise ScenarioError(f"expected a scenario: a mapping with the keys {listing(Blocks)}; got {shown_value(value)}")
+    if value.keys() >= _OF_CAMPAIGN:
+        raise ScenarioError(
+            "expected a scenario, got a campaign, with the keys scenario, vary and require: `hexservo campaign` runs "
+            "it, and its scenario stands under the first"
+        )
     return value

@@ -17,6 +17,7 @@ from hexservo.scenario.scenario import Scenario
 from hexservo.scenario.wording import number
 
 NOISE = 0.1  # [px], for the sentences; half of what the prior of `composite` takes a camera to have
+GRIP = 0.1  # of the stroke: a pose that is less certain than this, at the camera's noise, is worth a warning
 _OF_DEPTH = 0.5  # uncertainty beyond which a position is not observable
 _TURN = 0.2  # [rad], rotation of the displayed least observable motion, at most
 

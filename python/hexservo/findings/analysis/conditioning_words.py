@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hexservo.findings.analysis.conditioning import Conditioning, Sight, noise_in_words
+from hexservo.findings.analysis.conditioning import GRIP, Conditioning, Sight, noise_in_words
 from hexservo.findings.analysis.goal import SHOWN, TOLERANCE
 from hexservo.findings.analysis.placement import (
     DEPTH_SHARE,
@@ -21,7 +21,6 @@ from hexservo.scenario.arrays import Array
 from hexservo.scenario.pixels import to_pixels
 
 PAGE = "docs/analysis/conditioning.md"
-_GRIP = 0.1  # of the stroke: a pose that is less certain than this, at the camera's noise, is worth a warning
 
 _PER_PIXEL = (
     *(Column(axis, "mm/px", ".3g") for axis in "xyz"),
@@ -48,7 +47,7 @@ def _verdict(found: Conditioning, sights: list[Sight]) -> Verdict:
         return "bad"
     if any(sight.unobservable(found.noise) for sight in sights):
         return "bad"
-    uncertain = found.noise * max(sight.worst for sight in sights) > _GRIP * found.scene.stroke_length
+    uncertain = found.noise * max(sight.worst for sight in sights) > GRIP * found.scene.stroke_length
     return "warning" if uncertain else "good"
 
 
