@@ -61,7 +61,7 @@ def question(readings: Sequence[Reading]) -> str:
     first = readings[0]
     return (
         f"{', or '.join(reading.words for reading in readings)}, the goal would be within reach, "
-        f"{quantity(first.shift, 'm')} and {number(float(np.rad2deg(first.turn)))} deg from home: "
+        f"{quantity(first.shift, 'm')} and {number(round(float(np.rad2deg(first.turn)), 9))} deg from home: "
         "do the points stand in the order of the target's, and do pixels count as docs/camera.md has it?"
     )
 

@@ -121,7 +121,7 @@ def _require_front(scenario: Blocks, kind: str, pose: Vector) -> None:
     }
     for name, (shift, turn) in places.items():
         camera, looks = _camera_at(scenario, shift, turn)
-        ahead = looks[:, 2] if scenario.camera.axes == "opencv" else -looks[:, 2]
+        ahead = -looks[:, 2]
         depth = float((np.array(pose[:3]) - camera) @ ahead)
         if depth <= 0.0:  # behind it, where no side is seen
             if name == "home":
