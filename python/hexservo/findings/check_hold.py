@@ -89,7 +89,7 @@ def _beside(scene: Scene, goal: GoalPose) -> Array:
 
 def _of_rest(scene: Scene, start: Array, late: _Late) -> str:
     found = (
-        f"end early ({late.outcome})"
+        f"end early ({late.outcome.replace('_', ' ')})"
         if late.outcome != "completed"
         else f"are not settled within {quantity(late.scenario.simulation.duration, 's')}: up to "
         f"{number(late.largest, 2)} px from it in their second half, and metrics.band is {number(scene.band)} px"
@@ -107,7 +107,7 @@ def _of_band(scene: Scene, late: _Late) -> str:
     return (
         f"metrics.band: runs of {scene.scenario.controller.law} that begin at the goal before a target at rest leave "
         f"the band of {number(scene.band)} px again: up to {number(late.largest, 2)} px in their second half, so that "
-        "a settling time is by chance; take a wider band, or less noise"
+        "a settling time is by chance; take a wider band, or a camera with less noise, outliers and lost frames"
     )
 
 

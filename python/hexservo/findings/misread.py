@@ -13,9 +13,8 @@ from hexservo.findings.target_path import moving_keys
 from hexservo.scenario.goal_readings import Reading, best_readings
 from hexservo.scenario.pixels import points_outside
 
-_TURNED = np.deg2rad(
-    30.0
-)  # of a goal from home: more is seldom asked for, and another order of points turns it by more
+# Rotation of a goal from home [rad]: more is seldom asked for, and another order of points rotates it by more.
+_TURNED = np.deg2rad(30.0)
 
 
 @lru_cache(maxsize=8)  # several sentences of a check ask
