@@ -28,7 +28,8 @@ from hexservo.scenario.version import VERSION
 if TYPE_CHECKING:
     from hexservo import bridges, plots
     from hexservo.campaigns.engine import campaign
-    from hexservo.campaigns.plan import CampaignPlan, campaign_names
+    from hexservo.campaigns.names import campaign_names
+    from hexservo.campaigns.plan import CampaignPlan
     from hexservo.campaigns.rare import RareFailures, estimate_rare_failures
     from hexservo.campaigns.result import CampaignResult, WorstRun, load_campaign
     from hexservo.campaigns.sensitivity import Sensitivity, sensitivity
@@ -132,7 +133,8 @@ __version__ = VERSION
 # module -> its public names: imported when one of them is first used, since pydantic, SciPy and the rest take a while
 _MODULES = {
     "campaigns.engine": ("campaign",),
-    "campaigns.plan": ("CampaignPlan", "campaign_names"),
+    "campaigns.names": ("campaign_names",),
+    "campaigns.plan": ("CampaignPlan",),
     "campaigns.rare": ("RareFailures", "estimate_rare_failures"),
     "campaigns.result": ("CampaignResult", "WorstRun", "load_campaign"),
     "campaigns.sensitivity": ("Sensitivity", "sensitivity"),

@@ -18,7 +18,8 @@ from scipy.spatial.transform import Rotation
 import hexservo as hs
 from hexservo.campaigns.distributions import SEED, Variation, uniform_of
 from hexservo.campaigns.drawing import Drawing
-from hexservo.campaigns.plan import CampaignPlan, campaign_names, load_plan
+from hexservo.campaigns.names import campaign_names
+from hexservo.campaigns.plan import CampaignPlan, load_plan
 from hexservo.campaigns.requirements import distance_of, margin_of, ranks_of, requirement_of, run_margins
 from hexservo.run.publish import OutputError
 from hexservo.scenario.arrays import Array

@@ -32,6 +32,7 @@ from hexservo.campaigns.file_keys import (
 )
 from hexservo.campaigns.intervals import JEFFREYS, RARE, Mixture, anytime_interval
 from hexservo.campaigns.loop_numbers import without_loop
+from hexservo.campaigns.names import campaign_names
 from hexservo.campaigns.refused import FEW_DRAWS, MOST_REFUSED, refused_draw, refused_scenario, valid_rows
 from hexservo.campaigns.requirements import Requirement
 from hexservo.campaigns.tune_keys import TunePlan, TuneRule
@@ -348,12 +349,6 @@ def _reach(plan: CampaignPlan, key: str) -> tuple[float, float]:
 
 
 # ---- Campaigns by name or path --------------------------------------------------------------------------------------
-
-
-def campaign_names() -> tuple[str, ...]:
-    """Return the names of the packaged campaigns, in alphabetical order."""
-    folder = resources.files("hexservo") / "campaigns" / "packaged"
-    return tuple(sorted(item.name[:-5] for item in folder.iterdir() if item.name.endswith(".yaml")))
 
 
 def load_plan(

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import hexservo as hs
+from hexservo.campaigns.names import campaign_names
 from hexservo.cli.print_sections import printed
 from hexservo.cli.terminal import (
     SettingsOption,
@@ -35,8 +36,6 @@ if TYPE_CHECKING:
 
 _LONGEST_COMMAND = 400  # characters that are printed; a longer one has arrays, and the file holds them too
 NOT_FEASIBLE = 1
-PACKAGED = tuple(f"campaign-{name}" for name in ("composite-30hz", "paper", "paper-gravity", "real-machine"))
-"""Packaged campaigns, as `campaign_names` lists them: the help text does not import what reads them."""
 _ThreadsOption = Annotated[
     int | None, typer.Option("--threads", metavar="N", help="Threads to use.  [default: one for each core]")
 ]
@@ -53,7 +52,7 @@ def campaign(
         typer.Argument(
             metavar="CAMPAIGN",
             callback=no_dash,
-            help=f"Name of a packaged campaign ({', '.join(PACKAGED)}), or path of a YAML file.",
+            help=f"Name of a packaged campaign ({', '.join(campaign_names())}), or path of a YAML file.",
         ),
     ],
     out: Annotated[str, path_option("Keep the runs there: a new folder, or that of the same campaign.")],
