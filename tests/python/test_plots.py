@@ -341,7 +341,9 @@ def test_machines_that_take_positions_have_no_wrench_of_a_law() -> None:
     result = hs.simulate(hs.load_scenario("reachy-mini").updated({"simulation.duration": 0.1}))
     figure = control_wrench(result)
     assert_texts_can_be_read(figure)
-    assert [text.get_text() for text in figure.texts] == ["What the motion takes; the law commands positions"]
+    assert [text.get_text() for text in figure.texts] == [
+        "What the motion takes: the wrench as the mean of each tick, leg forces just after its command"
+    ]
 
 
 def test_control_wrench_says_what_it_averages_over(paper: hs.Result) -> None:

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
+_OF_POSITIONS = "What the motion takes: the wrench as the mean of each tick, leg forces just after its command"
+
+
 @overload
 def control_wrench(result: Result) -> Figure: ...
 
@@ -73,6 +76,6 @@ def control_wrench(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | None
     if explained:
         draw_legend(figure, explained)
     if result.scenario.actuators.kind == "position":
-        figure.text(0.01, 0.985, "What the motion takes; the law commands positions", fontsize=7, va="top", color=GREY)
+        figure.text(0.01, 0.985, _OF_POSITIONS, fontsize=7, va="top", color=GREY)
     boxes = [*((0.68, bottom, 2.4, 1.1) for bottom in (3.16, 1.82, 0.48)), (4.2, 0.48, 2.5, 3.78)]
     return draw_over_time(figure, result, shown, boxes, axes, mean)

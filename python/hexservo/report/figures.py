@@ -254,8 +254,12 @@ def _wrench_title(result: Result) -> str:
 
 def _wrench(result: Result) -> list[Html]:
     count = mean_samples(result.time)
-    mean = f"Thin lines are samples, thick lines their mean over {mean_period(result.time, count)}."
-    return [_over_time(result, panel, count, mean if count > 1 else "") for panel in wrench_panels(result)]
+    note = (
+        f"Thin lines are samples, thick lines their mean over {mean_period(result.time, count)}." if count > 1 else ""
+    )
+    if result.scenario.actuators.kind == "position":
+        note = f"The wrench is the mean of each tick; leg forces are those just after its command. {note}".rstrip()
+    return [_over_time(result, panel, count, note) for panel in wrench_panels(result)]
 
 
 def _base_motion(result: Result) -> list[Html]:
