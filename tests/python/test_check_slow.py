@@ -12,7 +12,7 @@ import pytest
 import hexservo as hs
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check import fastest_rate, unlikely
-from hexservo.findings.home_loop import least_image_error
+from hexservo.findings.home_loop import image_errors
 
 ALONE: dict[str, Any] = {f"uncertainty.{name}": 0.0 for name in ("inertia", "coriolis", "gravity", "depth")}
 
@@ -40,7 +40,7 @@ def test_what_is_left_is_that_of_the_second_order_in_closed_form(paper: hs.Scena
     roots = np.roots([1.0, kd, kp]) + np.array([1e-7, -1e-7])  # the double pole is the limit of two
     shares = np.array([-roots[1], roots[0]]) / (roots[0] - roots[1])
     left = float((shares * np.exp(roots * scenario.simulation.duration)).sum().real)
-    assert least_image_error(scene_of(scenario)) == pytest.approx(left, rel=1e-3, abs=1e-6)
+    assert min(image_errors(scene_of(scenario))) == pytest.approx(left, rel=1e-3, abs=1e-6)
     assert bool(slow(scenario)) == (left > 0.5)
 
 

@@ -84,7 +84,7 @@ def fmu(scenario: Scenario, *, fmi: Literal[2, 3] = 2, what: UnitKind = "loop") 
         raise ValueError(f"fmi: expected 2 or 3, got {fmi!r}")
     if what not in get_args(UnitKind):
         raise ValueError(f"what: expected {', '.join(get_args(UnitKind))}, got {what!r}")
-    if what == "plant" and scenario.simulation.mode != SAMPLED_MODE:
+    if what == "plant" and not scenario.sampled:
         raise ValueError(
             f"simulation.mode: expected {SAMPLED_MODE} for a plant that is commanded, got {scenario.simulation.mode}"
         )

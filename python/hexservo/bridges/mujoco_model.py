@@ -172,6 +172,17 @@ def not_in_model(scenario: Scenario) -> list[str]:
     return [key for key in keys if value_at(scenario, key) != default_of(key)]
 
 
+def hold_notes(scenario: Scenario) -> list[str]:
+    """Return a clause where runs hold something else over a tick than the motors of a scenario's model do."""
+    actuators = scenario.actuators
+    if not (scenario.sampled and actuators.kind == "force" and actuators.hold == "wrench"):
+        return []
+    return [
+        "actuators.hold: the motors of the model hold leg forces over a tick, and a run of this scenario the wrench; "
+        "leg forces of a run with actuators.hold: leg_forces move both alike"
+    ]
+
+
 def keyframe_notes(scenario: Scenario) -> list[str]:
     """Return which keyframes of a scenario's model need more than the range of its actuators, a clause each."""
     return _key_notes(scene_of(scenario))

@@ -86,7 +86,7 @@ def control(scenario: Scenario, of: Literal["loop", "plant"] = "loop", *, sample
         raise ValueError(f"of: expected loop or plant, got {of!r}")
     if sampled is not None and not isinstance(sampled, bool | np.bool_):
         raise wrong_type("sampled", "True, False or None", sampled)
-    discrete = scenario.simulation.mode == "sampled" if sampled is None else sampled
+    discrete = scenario.sampled if sampled is None else sampled
     if of == "plant":
         rest, plant, tick = _resting(scenario)
         a, b = _plant(plant)

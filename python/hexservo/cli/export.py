@@ -96,7 +96,7 @@ def _notes(scenario: hs.Scenario, period: float) -> str:
 
 
 def _mjcf(scenario: hs.Scenario, file: str, force: bool) -> str:
-    from hexservo.bridges.mujoco_model import TITLE, keyframe_notes, mjcf, not_in_model
+    from hexservo.bridges.mujoco_model import TITLE, hold_notes, keyframe_notes, mjcf, not_in_model
     from hexservo.run.files import write_file
 
     with refusals():
@@ -105,13 +105,8 @@ def _mjcf(scenario: hs.Scenario, file: str, force: bool) -> str:
     missing = not_in_model(scenario)
     first = f'{file}: machine, camera and target of the scenario "{scenario.name}" for MuJoCo\n'
     notes = [f"not in the model: {', '.join(missing)}"] if missing else []
-    actuators = scenario.actuators
-    if scenario.sampled and actuators.kind == "force" and actuators.hold == "wrench":
-        notes.append(
-            "actuators.hold: the motors of the model hold leg forces over a tick, and a run of this scenario the "
-            "wrench; leg forces of a run with actuators.hold: leg_forces move both alike"
-        )
-    return first + "".join(f"Note: {note}.\n" for note in [*notes, *keyframe_notes(scenario)])
+    notes += [*hold_notes(scenario), *keyframe_notes(scenario)]
+    return first + "".join(f"Note: {note}.\n" for note in notes)
 
 
 def _fmu(scenario: hs.Scenario, file: str, fmi: int, what: str, force: bool) -> str:

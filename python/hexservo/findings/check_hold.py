@@ -84,7 +84,7 @@ def _beside(scene: Scene, goal: GoalPose) -> Array:
     moves[:, :3] *= goal.view.mean_depth
     moves *= _AWAY * scene.band / np.abs(moves @ goal.view.jacobian.T).max(axis=1, keepdims=True)
     poses = goal.view.pose.moved(moves)
-    return np.where(scene.reachable(poses)[:, None], poses.displacement_from(scene.home), np.asarray(goal.displacement))
+    return np.where(scene.reachable(poses)[:, None], poses.displacement_from(scene.home), goal.displacement)
 
 
 def _of_rest(scene: Scene, start: Array, late: _Late) -> str:

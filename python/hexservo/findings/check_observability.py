@@ -74,11 +74,11 @@ def _sights(scene: Scene, points: Array) -> list[Sight]:
     poses = {"start": scene.start}
     if goals is not None and goals.reachable:
         poses["goal"] = goals.best.view.pose
-    views = {place: _view(scene, pose, points) for place, pose in poses.items()}
-    if any(view is None for view in views.values()):
+    seen = [(place, view) for place, pose in poses.items() if (view := _view(scene, pose, points)) is not None]
+    if len(seen) < len(poses):
         return []
-    length = next(view.mean_depth for view in views.values() if view is not None)
-    return [sight(place, view, length, scene) for place, view in views.items() if view is not None]
+    length = seen[0][1].mean_depth
+    return [sight(place, view, length, scene) for place, view in seen]
 
 
 def _view(scene: Scene, pose: Poses, points: Array) -> View | None:

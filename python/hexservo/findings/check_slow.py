@@ -20,7 +20,8 @@ _ALL = 1.0 - 1e-6  # what a loop leaves in which nothing pulls: the differences 
 def of_slow(scene: Scene) -> Iterator[str]:
     """Yield a sentence for gains with which the run leaves most of the image error at the start.
 
-    By the linear loop at home (`least_image_error`), and with fuzzy systems whose adaptation leaves more than the band
+    By the linear loop at home (`image_errors`): the fuzzy systems may pull to the goal, or to the start, and the less
+    of both with and without their adaptation counts. And for fuzzy systems whose adaptation leaves more than the band
     at its end; of gains by `auto` alone see the bandwidth (`of_gains`), and of a law whose output is a pose its own.
 
     Raises

@@ -45,24 +45,13 @@ def poles_at_home(scene: Scene) -> Complex:
     raise NotFiniteError("controller: expected gains that give finite poles, got poles that are not finite")
 
 
-def least_image_error(scene: Scene) -> float:
-    """Return the least image error in a run, as a share of that at the start, by the linear loop at home.
-
-    The error is the largest coordinate of the points that count, by home's Jacobian, from the start to the goal. The
-    switching term, which can only hold the platform, is left out. The fuzzy systems may pull to the goal, or to the
-    start: the less of both with and without their adaptation counts. 1 where nothing pulls to the goal. NaN for a start
-    at the goal, and where the error doubles: the loop is unstable.
-
-    Raises
-    ------
-    NoRestError
-        The law cannot be evaluated at home.
-    """
-    return float(np.min(image_errors(scene)))
-
-
 def image_errors(scene: Scene) -> list[float]:
-    """Return what `least_image_error` is the least of: without adaptation, and with it where there is one.
+    """Return the least image errors in a run, as shares of that at the start, by the linear loop at home.
+
+    Without the adaptation of the fuzzy systems, and with it where there is one. An error is the largest coordinate of
+    the points that count, by home's Jacobian, from the start to the goal. The switching term, which can only hold the
+    platform, is left out. 1 where nothing pulls to the goal. NaN for a start at the goal, and where the error doubles:
+    the loop is unstable.
 
     Raises
     ------

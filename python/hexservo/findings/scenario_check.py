@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from hexservo.findings.check import notes, unlikely
 from hexservo.findings.evidence import as_data
 from hexservo.run.display import lines_below
-from hexservo.run.metrics import is_settled, metrics, since_settling, unsettled
+from hexservo.run.metrics import metrics, run_settles, since_settling, unsettled
 from hexservo.run.simulation import simulate, uninterrupted
 from hexservo.run.summary import ending
 from hexservo.scenario.fields import described
@@ -37,7 +37,7 @@ class Check:
     @property
     def settled(self) -> str:
         """From when on the run is within the band, as "within 2 px after 0.353 s"; empty where it does not settle."""
-        if self.run is None or not _settles(self.run):
+        if self.run is None or not run_settles(self.run):
             return ""
         measured = self.scenario.metrics
         return f"within {measured.band:g} px {since_settling(metrics(self.run), measured)}"
@@ -89,7 +89,7 @@ def _doubts_of(run: Result) -> list[str]:
     """
     if run.outcome != "completed":
         return [f"simulation: the run ends early ({run.outcome.replace('_', ' ')}): {ending(run)}; {_NAMED}"]
-    if not _settles(run):
+    if not run_settles(run):
         return [f"simulation: the run does not settle: {unsettled(metrics(run), run.scenario.metrics)}; {_NAMED}"]
     found = []
     for kind in dict.fromkeys(event.kind for event in run.events):
@@ -97,7 +97,3 @@ def _doubts_of(run: Result) -> list[str]:
         more = f", and {len(others)} other{'s' if len(others) > 1 else ''} do so too" if others else ""
         found.append(f"simulation: in the run {first}{more}")
     return found
-
-
-def _settles(run: Result) -> bool:
-    return bool(is_settled(run.outcome, metrics(run)["settling_time"]))

@@ -79,7 +79,7 @@ def require_runnable(scenario: Scenario) -> None:
         For a scenario in continuous mode, and for one whose drives take positions.
     """
     problems = []
-    if scenario.simulation.mode != "sampled":
+    if not scenario.sampled:
         problems.append("simulation.mode: expected sampled for a custom controller, got continuous")
     if scenario.actuators.kind != "force":
         problems.append(

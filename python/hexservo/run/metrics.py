@@ -152,6 +152,11 @@ def is_settled(outcome: Any, settling_time: Any) -> Mask:
     return np.asarray((np.asarray(outcome) == "completed") & np.isfinite(settling_time))
 
 
+def run_settles(result: Result) -> bool:
+    """Return whether a run is settled: `is_settled` of its outcome and its settling time."""
+    return bool(is_settled(result.outcome, metrics(result)["settling_time"]))
+
+
 def unsettled(values: Mapping[str, float], measured: Metrics) -> str:
     """Return why a run of a scenario with these settings has no settling time: how far it is at the end, or how long.
 

@@ -11,7 +11,6 @@ from hexservo.run.leg_limits import leg_limits
 from hexservo.run.leg_motion import singular_passage
 from hexservo.run.metrics import left_and_band, metrics, shown_number, since_settling, stayed_within, unsettled
 from hexservo.run.unseen_points import edge_on_sentence, unseen_sentence
-from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.pixels import points_outside
 from hexservo.scenario.wording import apart, number, percent_above, percent_below, quantity
 
@@ -72,7 +71,7 @@ def without_image(result: Result) -> str | None:
     place.
     """
     scenario, camera = result.scenario, result.scenario.camera
-    if scenario.simulation.mode != SAMPLED_MODE or not result.by_law:
+    if not scenario.sampled or not result.by_law:
         return None
     if camera.dropout == 1.0:
         why = "every frame was lost (camera.dropout: 1)"

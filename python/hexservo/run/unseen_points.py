@@ -10,7 +10,6 @@ import numpy as np
 from hexservo import _core
 from hexservo.run.metrics import metrics
 from hexservo.scenario.arrays import Array
-from hexservo.scenario.block import SAMPLED_MODE
 from hexservo.scenario.parameters import core_parameters, frame_period
 from hexservo.scenario.pixels import desired_features, image_border, points_outside
 from hexservo.scenario.plane import side_of_plane, triangle_of_plane
@@ -43,7 +42,7 @@ def unseen_points(result: Result) -> tuple[UnseenPoint, ...]:
     An image has a border in sampled mode alone. By true places: noise may take a point across the border and back, and
     what the gate rejects or a lost frame leaves out is in no sample.
     """
-    if result.scenario.simulation.mode != SAMPLED_MODE:
+    if not result.scenario.sampled:
         return ()
     outside = points_outside(result.scenario, result.features)
     lasts = np.append(np.diff(result.time), 0.0)
@@ -89,7 +88,7 @@ def _between_samples(result: Result) -> str | None:
     A metric has the largest distance of every step: a point that is as near as the border's nearest part is inside.
     """
     scenario = result.scenario
-    border = image_border(scenario) if scenario.simulation.mode == SAMPLED_MODE else None
+    border = image_border(scenario) if scenario.sampled else None
     thin = _thin(result)
     if border is None or not thin:
         return None

@@ -46,7 +46,7 @@ def checked_variations(scenario: Scenario, variations: Mapping[str, ArrayLike]) 
     law = scenario.controller.law
     points = scenario.target.count
     arrays = {key: _array(key, known_key(key, law, points), values) for key, values in variations.items()}
-    idle = [key for key in arrays if key in sampled_keys()] if scenario.simulation.mode == "continuous" else []
+    idle = [key for key in arrays if key in sampled_keys()] if not scenario.sampled else []
     if idle:
         raise ScenarioError(without_effect(idle))
     lengths = {key: len(values) for key, values in arrays.items()}

@@ -14,7 +14,7 @@ from hexservo.findings.analysis.scene import ALL_AXES, scene_of
 from hexservo.findings.analysis.tried import ROUNDS, bordering, quarters
 from hexservo.run.batch import metrics_of, simulate_batch, whole
 from hexservo.run.leg_limits import KIND_OF_CAUSE, LimitUse, most_used
-from hexservo.run.metrics import is_settled, metrics
+from hexservo.run.metrics import run_settles
 from hexservo.run.result import Result
 from hexservo.run.simulation import simulate, uninterrupted
 from hexservo.scenario.arrays import Array
@@ -164,7 +164,7 @@ def learned_weights(task: Scenario) -> Array | None:
     Settled: docs/model.md, section 8.
     """
     result = uninterrupted(simulate(task))
-    if not is_settled(result.outcome, metrics(result)["settling_time"]):
+    if not run_settles(result):
         return None
     return np.asarray(result.fuzzy_weights)
 
