@@ -103,7 +103,10 @@ void bind_sampled_run(py::module_& m) {
       .def_property_readonly(
           "leg_lengths", [](const Seen& s) { return s.joints.lengths; }, "(6,) of encoders [m]; NaN: no reading")
       .def_property_readonly(
-          "leg_rates", [](const Seen& s) { return s.joints.rates; }, "(6,) of encoders [m/s]; NaN: no reading");
+          "leg_rates", [](const Seen& s) { return s.joints.rates; }, "(6,) of encoders [m/s]; NaN: no reading")
+      .def_property_readonly(
+          "leg_positions", [](const Seen& s) { return s.leg_positions; },
+          "(6,) taken last by drives that take positions [m; rad]; NaN: others");
 
   py::class_<SampledRun> run(m, "SampledRun", "A run in sampled mode, commanded tick by tick.");
   run.def(py::init<const Settings&>(), py::arg("settings"));
@@ -112,6 +115,8 @@ void bind_sampled_run(py::module_& m) {
       .def("command", &SampledRun::command, py::arg("wrench"), "A wrench (6,) in B [N; N m], and on to the next tick.")
       .def("command_legs", &SampledRun::command_legs, py::arg("leg_forces"),
            "Leg forces (6,) [N], and on to the next tick.")
+      .def("command_positions", &SampledRun::command_positions, py::arg("positions"),
+           "Leg positions (6,) [m; rad], and on to the next tick.")
       .def("finish", &SampledRun::finish, "The trajectory so far; once.");
 
   py::class_<SampledRuns>(m, "SampledRuns", "Runs side by side, commanded together.")

@@ -51,8 +51,12 @@ class PlantOf final : public PlantInSteps {
 
 }  // namespace
 
-void require_commanded(const Settings& settings, const std::string& by) {
+void require_sampled(const Settings& settings, const std::string& by) {
   if (settings.simulation.mode != LoopMode::sampled) refuse("simulation.mode", "sampled for " + by, "continuous");
+}
+
+void require_commanded(const Settings& settings, const std::string& by) {
+  require_sampled(settings, by);
   if (takes_positions(settings.actuators.kind))
     refuse("actuators.kind", words("force for ", by, ", whose wrench acts on the platform"),
            "one that takes positions");

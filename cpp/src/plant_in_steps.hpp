@@ -28,7 +28,12 @@ class PlantInSteps {
   double time = 0.0;                                ///< of it [s]
 };
 
-/// Refuses scenarios whose plant no caller can command: in continuous mode, or with legs that take positions.
+/// Refuses scenarios in continuous mode, which have no ticks to command.
+/// @param by who commands
+void require_sampled(const Settings& settings, const std::string& by);
+
+/// Refuses scenarios whose plant no wrench of a caller can command: in continuous mode, or with legs that take
+/// positions.
 /// @param by whose wrench it is, or what takes it
 void require_commanded(const Settings& settings, const std::string& by);
 

@@ -5,6 +5,9 @@
 #include "run_loop.hpp"
 #include "trajectory_log.hpp"
 
+#include <limits>
+#include <string>
+
 namespace hexservo {
 
 /// A run of any number of points.
@@ -14,6 +17,7 @@ struct SampledRun::Books {
   virtual SampledObservation observe() const = 0;
   virtual void command(const Vector6<double>& wrench) = 0;
   virtual void command_legs(const Vector6<double>& leg_forces) = 0;
+  virtual void command_positions(const Vector6<double>& positions) = 0;
   virtual Trajectory finish() = 0;
 };
 
@@ -26,6 +30,7 @@ struct SampledRun::BooksOf final : Books {
         step(parameters.step),
         plant(parameters),
         log(settings->simulation, parameters.points) {
+    if (plant.takes_positions()) positions = plant.plant().leg_positions();
     request.count = 1;
     request.points = parameters.points;
     request.steps = step_count(settings->simulation);
@@ -46,7 +51,8 @@ struct SampledRun::BooksOf final : Books {
                                    seen.image.depth.head(request.points),
                                    seen.pose,
                                    seen.twist,
-                                   plant.plant().sense().joints};
+                                   plant.plant().sense().joints,
+                                   positions};
     if (!(seen.newest >= 0.0)) observation.exposure = unknown;
     if (!seen.ready()) {
       observation.features.setConstant(unknown);
@@ -56,10 +62,33 @@ struct SampledRun::BooksOf final : Books {
   }
 
   void command(const Vector6<double>& wrench) override {
-    if (!running()) throw std::logic_error("the run has ended: expected no further command");
+    require_drives(false, "a wrench or leg forces");
     detail::require_finite("wrench", wrench);
     const FlushSubnormals flush;
     plant.command(wrench);
+    go_on();
+  }
+
+  void command_positions(const Vector6<double>& wanted) override {
+    require_drives(true, "leg positions");
+    detail::require_finite("positions", wanted);
+    const FlushSubnormals flush;
+    positions = wanted;
+    plant.position(positions);
+    go_on();
+  }
+
+  /// Refuses a command that the drives do not take. @param what it is
+  void require_drives(bool take_positions, const char* what) const {
+    if (!running()) throw std::logic_error("the run has ended: expected no further command");
+    if (plant.takes_positions() != take_positions)
+      throw std::invalid_argument(std::string(plant.takes_positions() ? "expected leg positions, which the drives take"
+                                                                      : "expected a wrench or leg forces") +
+                                  ", got " + what);
+  }
+
+  /// Keeps what the tick gave, and goes on to the next one.
+  void go_on() {
     const long long tick = plant.plant().ticks();
     if (!rows)
       rows.emplace(request, plant.record(), no_weights);
@@ -79,7 +108,10 @@ struct SampledRun::BooksOf final : Books {
 
   Trajectory finish() override {
     if (!rows) {  // nothing was commanded: the platform at its start
-      plant.command(Vector6<double>::Zero());
+      if (plant.takes_positions())
+        plant.position(positions);
+      else
+        plant.command(Vector6<double>::Zero());
       rows.emplace(request, plant.record(), no_weights);
     }
     RunAnswer& answer = log.answer();
@@ -99,10 +131,12 @@ struct SampledRun::BooksOf final : Books {
   NoState<double> no_weights;  ///< the scenario's law does not act
   std::optional<detail::Log<double, NoState<double>, N>> rows;
   bool complete = false;
+  Vector6<double> positions =
+      Vector6<double>::Constant(std::numeric_limits<double>::quiet_NaN());  ///< as commanded last
 };
 
 SampledRun::SampledRun(const Settings& settings) {
-  detail::require_commanded(settings, "a custom controller");
+  detail::require_sampled(settings, "a custom controller");
   auto kept = std::make_shared<const Settings>(settings);
   books_ = with_loop(
       *kept, [&]<class Law, int N>(std::type_identity<Law>, std::integral_constant<int, N>) -> std::unique_ptr<Books> {
@@ -118,6 +152,7 @@ bool SampledRun::running() const noexcept { return books_->running(); }
 SampledObservation SampledRun::observe() const { return books_->observe(); }
 void SampledRun::command(const Vector6<double>& wrench) { books_->command(wrench); }
 void SampledRun::command_legs(const Vector6<double>& leg_forces) { books_->command_legs(leg_forces); }
+void SampledRun::command_positions(const Vector6<double>& positions) { books_->command_positions(positions); }
 Trajectory SampledRun::finish() { return books_->finish(); }
 
 namespace {
@@ -138,6 +173,7 @@ void SampledRuns::One::command(const Vector6<double>& wrench) {
 }
 
 void SampledRuns::start(int place, const Settings& settings) {
+  detail::require_commanded(settings, "a custom controller");
   SampledRun run(settings);
   const SampledObservation first = run.observe();
   One one{std::move(run), first, estimated_body(settings.robot), step_count(settings.simulation)};

@@ -54,6 +54,7 @@ REFERENCE = {
         "ControllerOutput",
         "Observation",
         "LegForces",
+        "LegPositions",
         "feedback_margin",
         "integral_margin",
         "c_library",

@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from hexservo.run.compare import compare
     from hexservo.run.comparison import Comparison, ComparisonRow
     from hexservo.run.controller import Controller, ControllerOutput
-    from hexservo.run.custom_controller import LegForces, Observation
+    from hexservo.run.custom_controller import LegForces, LegPositions, Observation
     from hexservo.run.metrics import METRICS, metrics
     from hexservo.run.publish import OutputError
     from hexservo.run.result import LimitEvent, Result
@@ -79,6 +79,7 @@ __all__ = [
     "Diagnosis",
     "Identification",
     "LegForces",
+    "LegPositions",
     "LimitEvent",
     "Log",
     "Observation",
@@ -156,7 +157,7 @@ _MODULES = {
     "run.compare": ("compare",),
     "run.comparison": ("Comparison", "ComparisonRow"),
     "run.controller": ("Controller", "ControllerOutput"),
-    "run.custom_controller": ("LegForces", "Observation"),
+    "run.custom_controller": ("LegForces", "LegPositions", "Observation"),
     "run.metrics": ("METRICS", "metrics"),
     "run.publish": ("OutputError",),
     "run.result": ("LimitEvent", "Result"),

@@ -250,26 +250,6 @@ def test_it_is_for_sampled_mode(sampled: hs.Scenario, paper: hs.Scenario) -> Non
         hs.simulate(sampled, controller=3)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("kind", ["position", "position_torque"])
-def test_it_is_refused_before_the_first_tick_where_drives_take_positions(kind: str) -> None:
-    positions = hs.load_scenario("pi-h824-positions").updated({"actuators.kind": kind})
-    ticks: list[int] = []
-
-    def counts(seen: hs.Observation) -> np.ndarray[Any, Any]:
-        ticks.append(seen.tick)
-        return hold(seen)
-
-    refusal = f"actuators.kind: expected force for a custom controller, .*, got {kind}; .*docs/position-machines.md"
-    with pytest.raises(hs.ScenarioError, match=refusal):
-        hs.simulate(positions, controller=counts)
-    with pytest.raises(hs.ScenarioError, match=refusal):
-        hs.simulate_batch(positions, {"uncertainty.depth": DEPTHS}, controller=counts)
-    row = hs.compare([positions], [], controllers={"held": counts}).row("held", positions.name)
-    assert row.outcome == "refused"
-    assert "expected force for a custom controller" in row.why
-    assert ticks == []
-
-
 # ---- In batches and comparisons -------------------------------------------------------------------------------------
 
 

@@ -20,11 +20,15 @@ NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e-?\d+)?")
 
 def blocks() -> list[tuple[str, str]]:
     """Code of the page."""
-    return re.findall(r"```(sh|text|yaml)\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    return re.findall(r"```(sh|text|yaml|python)\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
 
 
 def output_of(line: str, folder: Path) -> str:
     program, *arguments = shlex.split(line, comments=True)
+    return output_of_program(program, arguments, folder)
+
+
+def output_of_program(program: str, arguments: list[str], folder: Path) -> str:
     if program == "python":
         command = [sys.executable, *arguments]
     else:
@@ -32,7 +36,7 @@ def output_of(line: str, folder: Path) -> str:
         command = [sys.executable, "-m", "hexservo", *arguments]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([*sys.path, str(ROOT / "examples")]), "COLUMNS": "500"}
     run = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
-    assert run.returncode == 0, f"{line}: {run.returncode}\n{run.stdout}\n{run.stderr}"
+    assert run.returncode == 0, f"{program} {arguments}: {run.returncode}\n{run.stdout}\n{run.stderr}"
     return run.stdout
 
 
@@ -45,6 +49,18 @@ def alike(written: str, printed: str) -> bool:
     return all(float(a) == pytest.approx(float(b), rel=0.1, abs=0.01) for a, b in pairs)
 
 
+def require_printed(text: str, printed: list[str]) -> None:
+    for line in text.splitlines():
+        assert any(alike(line, row) for row in printed), "\n".join(["not printed:", line, "printed:", *printed])
+
+
+def test_the_law_in_python_runs(tmp_path: Path) -> None:
+    (place,) = (index for index, (kind, _) in enumerate(blocks()) if kind == "python")
+    (_, program), (kind, text) = blocks()[place : place + 2]
+    assert kind == "text"
+    require_printed(text, output_of_program("python", ["-c", program], tmp_path).splitlines())
+
+
 @pytest.mark.slow
 def test_commands_of_the_page_run(tmp_path: Path) -> None:
     printed: list[str] = []
@@ -55,9 +71,10 @@ def test_commands_of_the_page_run(tmp_path: Path) -> None:
             (tmp_path / name[1]).write_text(text, encoding="utf-8")
         elif kind == "sh":
             printed = [row for line in text.splitlines() for row in output_of(line, tmp_path).splitlines()]
+        elif kind == "python":
+            printed = output_of_program("python", ["-c", text], tmp_path).splitlines()
         else:
-            for line in text.splitlines():
-                assert any(alike(line, row) for row in printed), "\n".join(["not printed:", line, "printed:", *printed])
+            require_printed(text, printed)
     head = hs.load_scenario(tmp_path / "head.yaml", {"controller.pbvs.auto.bandwidth": 4.0})
     for stamped, least, most in ((0.0, 0.0, 4.0), (-0.02, 14.0, 24.0)):
         for depth in (-0.2, 0.0, 0.2):
@@ -70,4 +87,4 @@ def test_numbers_are_compared_with_a_tolerance() -> None:
     assert alike("camera.latency 0.2 0.033", "  camera.latency   0.201  0.033  ")
     assert not alike("camera.latency 0.2 0.033", "camera.latency 0.3 0.033")
     assert not alike("settling time 1.5 s", "settled time 1.5 s")
-    assert len(blocks()) == 17
+    assert len(blocks()) == 19

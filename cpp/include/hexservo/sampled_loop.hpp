@@ -163,6 +163,8 @@ class SampledPlant {
   double time() const noexcept { return static_cast<double>(ticks_) * period_; }
   long long ticks() const noexcept { return ticks_; }
   const LoopRecord<S, N>& record() const noexcept { return record_; }
+  /// The legs' coordinates now [m], or [rad].
+  Vector6<S> leg_positions() const noexcept { return legs_at(position_of(state_.body), state_.view.R_BE).lengths; }
 
  private:
   /// Whether actuators do anything but hold the wrench, in any lane.
@@ -294,7 +296,7 @@ class SampledPlant {
   long long ticks_ = 0;
 };
 
-/// A sampled plant that takes a wrench from outside at every tick, with the sensors and the safe output of the
+/// A sampled plant that is commanded from outside at every tick, with the sensors and the safe output of the
 /// controller.
 template <class S, int N = kPoints>
 class CommandedPlant {
@@ -313,6 +315,17 @@ class CommandedPlant {
     Command<S> command;
     decide(gains_, state_, wrench, command);
     plant_.command(command, observe(), Vector6<S>::Zero());
+  }
+
+  /// Whether the drives take positions: `position` commands them, and otherwise `command`.
+  bool takes_positions() const noexcept { return gains_.motion.acts; }
+
+  /// Commands drives that take positions, as they are: drives hold what they took last, which is the safe output here.
+  /// @param positions q* [m], or [rad]
+  void position(const Vector6<S>& positions) noexcept {
+    Command<S> command{};
+    command.law_failed = Mask<S>(false);
+    plant_.position(positions, command, observe(), Vector6<S>::Zero());
   }
 
   /// To the next tick.

@@ -21,11 +21,13 @@ struct SampledObservation {
   Pose<double> pose;                         ///< from the joint sensors, in B
   Vector6<double> twist;                     ///< from the joint sensors, in B [m/s; rad/s]
   LegReading<double> joints;                 ///< what encoders gave at this tick; NaN where there is no reading
+  Vector6<double> leg_positions;  ///< what drives that take positions took last, at first where they are; NaN otherwise
 };
 
 /// Plant, sensors and actuators of a scenario, with its log; the scenario's own law does not act.
 ///
-/// `observe`, then `command` or `command_legs`, until `running` is false; then `finish`.
+/// `observe`, then `command` or `command_legs`, or `command_positions` where the drives take positions, until `running`
+/// is false; then `finish`.
 class SampledRun {
  public:
   /// @throws std::invalid_argument as `simulate`, and for a scenario that is not in sampled mode
@@ -41,10 +43,15 @@ class SampledRun {
   /// Commands a wrench in B about E's origin [N; N m], and goes on to the next tick.
   ///
   /// As for the core's laws, the safe output acts while an image is missing or too old.
-  /// @throws std::invalid_argument for numbers that are not finite; std::logic_error where the run has ended
+  /// @throws std::invalid_argument for numbers that are not finite, and for drives that take positions;
+  /// std::logic_error where the run has ended
   void command(const Vector6<double>& wrench);
   /// Commands the forces of the legs, positive where they push [N]: the wrench that they give at this tick's pose.
   void command_legs(const Vector6<double>& leg_forces);
+  /// Commands where each leg shall go [m], or cranks [rad], and goes on to the next tick. No safe output takes its
+  /// place: drives hold what they took last.
+  /// @throws std::invalid_argument as `command`, and for drives that take forces; std::logic_error likewise
+  void command_positions(const Vector6<double>& positions);
 
   /// The trajectory so far; a run with ticks left is `interrupted`. To be called once.
   Trajectory finish();
@@ -64,7 +71,8 @@ class SampledRuns {
 
   int count() const noexcept { return static_cast<int>(places_.size()); }
   /// Starts a run at a place, and takes it to the tick of its first image, until which the safe output acts.
-  /// @throws std::invalid_argument as `SampledRun`; std::out_of_range for a place that there is not
+  /// @throws std::invalid_argument as `SampledRun`, and for drives that take positions; std::out_of_range for a place
+  /// that there is not
   void start(int place, const Settings& settings);
   /// Commands wrenches (6, count) to the runs that go on [N; N m], and takes those to their next tick.
   /// @throws std::invalid_argument for another count or numbers that are not finite, before any run is commanded

@@ -95,7 +95,7 @@ class HexapodVectorEnv(_Uncopied, _vector.VectorEnv):  # type: ignore[misc]
         batched = _vector.utils.batch_space
         self.observation_space = batched(self.single_observation_space, num_envs)
         self.action_space = batched(self.single_action_space, num_envs)
-        _core.SampledRun(self._settings)  # refuses what no draw of a start would change
+        _core.SampledRuns(1).start(0, self._settings)  # refuses what no draw of a start would change
         self._require_starts()
         self._runs = _core.SampledRuns(num_envs)
         self._generators: list[np.random.Generator] = []

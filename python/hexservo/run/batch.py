@@ -272,7 +272,7 @@ def simulate_batch(
         the first bad scenario, before any runs; for a result of more than 2 GiB; for trajectories that differ in their
         times; for a custom controller with more than one thread.
     ScenarioError
-        For a custom controller in continuous mode, or with drives that take positions.
+        For a custom controller in continuous mode.
     VariantError
         Where the environment variable HEXSERVO_VARIANT asks for a variant that is not there.
     """

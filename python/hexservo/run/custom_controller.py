@@ -54,9 +54,12 @@ class Observation(NamedTuple):
     """(2p,), `features` as `Controller.step` takes them: in pixels of the camera that the controller assumes, by
     ``camera.principal_point``, ``axes`` and ``distortion`` [px]; NaN as the features, and where the lens shows no such
     point."""
+    leg_positions: Array
+    """(6,), where the drives take positions: what they took last, at the first tick where the legs are, lengths [m] or
+    angles of cranks [rad]; NaN where drives take forces."""
 
 
-_seen_of = attrgetter(*Observation._fields[:-1])  # of what the core has seen, under equal names
+_measured_of = attrgetter(*Observation._fields[:-2])  # of what the core has seen, under equal names
 
 
 @described
@@ -67,28 +70,31 @@ class LegForces:
     forces: ArrayLike  # (6,), positive where they push the platform away from the base [N]
 
 
-OwnController: TypeAlias = Callable[[Observation], "ArrayLike | LegForces"]
+@described
+@dataclass(frozen=True, eq=False)
+class LegPositions:
+    """Output of a controller of drives that take positions; ``Observation.leg_positions`` again: they stay as they are.
+
+    Nothing takes their place where an image is missing or too old, and nothing keeps them within the stroke: a leg that
+    passes its end is an event of the result, and ends the run with ``robot.on_limit: stop``.
+    """
+
+    positions: ArrayLike  # (6,), where each leg shall go to, lengths [m] or angles of cranks [rad]
+
+
+OwnController: TypeAlias = Callable[[Observation], "ArrayLike | LegForces | LegPositions"]
 
 
 def require_runnable(scenario: Scenario) -> None:
-    """Check that a custom controller, whose output is a wrench at every servo tick, can run a scenario.
+    """Check that a custom controller, which is called at every servo tick, can run a scenario.
 
     Raises
     ------
     ScenarioError
-        For a scenario in continuous mode, and for one whose drives take positions.
+        For a scenario in continuous mode.
     """
-    problems = []
     if not scenario.sampled:
-        problems.append("simulation.mode: expected sampled for a custom controller, got continuous")
-    if scenario.actuators.kind != "force":
-        problems.append(
-            "actuators.kind: expected force for a custom controller, whose wrench acts on the platform, got "
-            f"{scenario.actuators.kind}; drives that take positions need a law of the scenario: "
-            "docs/position-machines.md has a loop in Python around hs.Controller"
-        )
-    if problems:
-        raise ScenarioError(problems)
+        raise ScenarioError(["simulation.mode: expected sampled for a custom controller, got continuous"])
 
 
 def run_with(scenario: Scenario, controller: OwnController) -> _core.Trajectory:
@@ -99,8 +105,8 @@ def run_with(scenario: Scenario, controller: OwnController) -> _core.Trajectory:
     ScenarioError
         As `require_runnable`, before the first call.
     ValueError
-        For a command of another shape or with numbers that are not finite, or leg forces whose wrench is not, with its
-        tick.
+        For a command that the drives do not take, of another shape or with numbers that are not finite, or leg forces
+        whose wrench is not, with its tick.
     Exception
         What the controller raises, as it is; where the interpreter can (from Python 3.11 on), with a note that names
         the tick.
@@ -112,20 +118,34 @@ def run_with(scenario: Scenario, controller: OwnController) -> _core.Trajectory:
     try:
         while run.running:
             seen = run.observe()
-            observation = Observation._make((*_seen_of(seen), pixels_of(seen.features)))
+            observation = Observation._make((*_measured_of(seen), pixels_of(seen.features), seen.leg_positions))
             try:
                 command = controller(observation)
             except Exception as error:
                 if hasattr(error, "add_note"):
                     error.add_note(f"raised by the controller {_at(observation)}")
                 raise
-            if isinstance(command, LegForces):
+            _require_taken(command, observation)
+            if isinstance(command, LegPositions):
+                run.command_positions(_six("leg positions", command.positions, observation))
+            elif isinstance(command, LegForces):
                 _command_legs(run, command, observation)
             else:
                 run.command(_six("a wrench", command, observation))
     except KeyboardInterrupt:
         pass  # what was computed is kept, and the trajectory is marked
     return run.finish()
+
+
+def _require_taken(command: object, seen: Observation) -> None:
+    """Refuse a command of another kind than the drives take: numbers of one are plausible as the other."""
+    take_positions = not np.isnan(seen.leg_positions).any()
+    if isinstance(command, LegPositions) == take_positions:
+        return
+    raise ValueError(
+        f"controller: expected {'hs.LegPositions' if take_positions else 'a wrench of 6 numbers, or hs.LegForces'}, "
+        f"which drives with this actuators.kind take, {_at(seen)}, got {command!r:.60}"
+    )
 
 
 def _command_legs(run: _core.SampledRun, command: LegForces, seen: Observation) -> None:

@@ -29,10 +29,10 @@ def simulate(scenario: Scenario, *, controller: OwnController | None = None, log
     scenario
         What is run.
     controller
-        A function to be called at every servo tick in place of the scenario's law, in sampled mode alone and with
-        drives that take forces (``actuators.kind: force``). It takes an
-        `Observation` and gives a wrench in B about E's origin, (6,) [N; N m], or `LegForces`. Until every point has
-        been seen once, what acts is the wrench that holds the platform, whatever it gives. `Controller.step` takes the
+        A function to be called at every servo tick in place of the scenario's law, in sampled mode alone. It takes an
+        `Observation` and gives a wrench in B about E's origin, (6,) [N; N m], or `LegForces`; where the drives take
+        positions, `LegPositions`. Until every point has been seen once, what acts is the wrench that holds the
+        platform, whatever it gives; drives that take positions go where they are sent. `Controller.step` takes the
         observation's `pixels`, not its `features`. Python sets the pace: a few hundred thousand ticks a second at the
         very most.
     log_weights
@@ -47,10 +47,11 @@ def simulate(scenario: Scenario, *, controller: OwnController | None = None, log
         boolean.
     ValueError
         For a scenario that the core refuses (a `Scenario` is checked when it is made, so this is rare); where the log
-        would not fit because of the weights; for a command of another shape or with numbers that are not finite, or leg
-        forces whose wrench is not, with its tick. What the controller itself raises goes through as it is.
+        would not fit because of the weights; for a command that the drives do not take, of another shape or with
+        numbers that are not finite, or leg forces whose wrench is not, with its tick. What the controller itself raises
+        goes through as it is.
     ScenarioError
-        For a controller in continuous mode, or with drives that take positions.
+        For a controller in continuous mode.
     VariantError
         Where the environment variable HEXSERVO_VARIANT asks for a compiled variant that is not there.
     """
