@@ -334,13 +334,11 @@ HEXSERVO_API void hexservo_tick(const hexservo_gains* gains, hexservo_state* sta
 
 /* --- a plant without its controller ------------------------------------------------------------------------------- */
 
-/** Plant, sensors and actuators of a scenario in sampled mode, which takes wrenches in place of a law's. */
+/** Plant, sensors and actuators of a scenario in sampled mode, which takes commands in place of a law's. */
 typedef struct hexservo_plant hexservo_plant;
 
 /** Starts a plant at its first tick; it goes on until it fails (`simulation.duration` does not act).
- * @param plant null in case of an error: those of `hexservo_run_create`, a scenario in continuous mode, and drives that
- *              take positions (`actuators.kind` is not force), for which there are `hexservo_run_create` and
- *              `hexservo_tick` */
+ * @param plant null in case of an error: those of `hexservo_run_create`, and a scenario in continuous mode */
 HEXSERVO_API hexservo_status hexservo_plant_create(hexservo_scenario* scenario, hexservo_plant** plant);
 HEXSERVO_API void hexservo_plant_destroy(hexservo_plant* plant);
 /** What the sensors give at this tick, as `hexservo_tick` takes it.
@@ -348,12 +346,13 @@ HEXSERVO_API void hexservo_plant_destroy(hexservo_plant* plant);
  * Position, quaternion and twist are also there with encoders: as the leg lengths give them. Leg lengths and rates are
  * there with encoders alone. Features and depth are those of the newest frame, whose memory is the plant's. */
 HEXSERVO_API void hexservo_plant_sense(const hexservo_plant* plant, hexservo_input* input);
-/** Commands a wrench, six numbers about the platform's origin in B [N; N m], and goes on to the next tick.
+/** Commands what the drives take, six numbers, and goes on to the next tick: a wrench about the platform's origin in B
+ * [N; N m], and where `actuators.kind` is not force where each leg shall go to [m], cranks [rad].
  *
- * As for custom controllers in Python, the safe output acts where no law may act, since an image is missing or too old.
- * Numbers that are not finite end the run as diverged.
+ * As for custom controllers in Python, the safe output acts in place of a wrench where no law may act, since an image is
+ * missing or too old; leg positions always act. Numbers that are not finite end the run as diverged.
  * @return whether there is a tick to command */
-HEXSERVO_API int hexservo_plant_command(hexservo_plant* plant, const double* wrench);
+HEXSERVO_API int hexservo_plant_command(hexservo_plant* plant, const double* command);
 /** `HEXSERVO_RUNNING`, or how it ended. */
 HEXSERVO_API hexservo_outcome hexservo_plant_outcome(const hexservo_plant* plant);
 /** What was true at the newest tick that was commanded, one before that of the sensors; as `hexservo_run_newest`. Before

@@ -694,10 +694,10 @@ void hexservo_plant_sense(const hexservo_plant* plant, hexservo_input* input) {
   put(sensed.joints.rates, input->leg_rates);
 }
 
-int hexservo_plant_command(hexservo_plant* plant, const double* wrench) {
+int hexservo_plant_command(hexservo_plant* plant, const double* numbers) {
   detail::PlantInSteps& steps = *plant->steps;
   if (steps.cause == StopCause::none) {
-    const Vector6<double> command = read<6>(wrench);
+    const Vector6<double> command = read<6>(numbers);
     if (command.allFinite())
       steps.command(command);
     else

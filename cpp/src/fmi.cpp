@@ -181,7 +181,7 @@ class Machine final : public Model {
   Machine(const Scenario& scenario, double start_time, const Inputs& inputs)
       : start_time_(start_time),
         points_(hexservo_scenario_points(scenario.get())),
-        wrench_(inputs.at("wrench").data()) {
+        command_(inputs.begin()->second.data()) {  // wrench, or leg_positions
     features_.resize(2 * points_);
     depth_.resize(points_);
     hexservo_plant* plant = nullptr;
@@ -207,7 +207,7 @@ class Machine final : public Model {
   std::string advance(std::int64_t, std::int64_t count) override {
     int goes_on = 1;
     for (; count > 0 && goes_on; --count) {
-      goes_on = hexservo_plant_command(plant_.get(), wrench_);
+      goes_on = hexservo_plant_command(plant_.get(), command_);
       look();
     }
     return end_of(hexservo_plant_outcome(plant_.get()));
@@ -228,7 +228,7 @@ class Machine final : public Model {
   Plant plant_;
   double start_time_;
   std::size_t points_;
-  const double* wrench_;
+  const double* command_;
   hexservo_input sensed_;
   std::vector<double> features_, depth_;  ///< of the newest frame
   double exposure_ = -1.0, outcome_ = 0.0;

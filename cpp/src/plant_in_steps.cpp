@@ -18,9 +18,12 @@ class PlantOf final : public PlantInSteps {
     keep();
   }
 
-  void command(const Vector6<double>& wrench) override {
+  void command(const Vector6<double>& command) override {
     const FlushSubnormals flush;
-    plant_.command(wrench);
+    if (plant_.takes_positions())
+      plant_.position(command);
+    else
+      plant_.command(command);
     if (plant_.record().running()) plant_.advance();
     keep();
   }
@@ -63,7 +66,7 @@ void require_commanded(const Settings& settings, const std::string& by) {
 }
 
 std::unique_ptr<PlantInSteps> commanded_plant(const Settings& settings) {
-  require_commanded(settings, "a plant that is commanded");
+  require_sampled(settings, "a plant that is commanded");
   return with_loop(
       settings,
       [&]<class Law, int N>(std::type_identity<Law>, std::integral_constant<int, N>) -> std::unique_ptr<PlantInSteps> {

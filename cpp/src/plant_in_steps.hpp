@@ -1,5 +1,5 @@
 /// @file
-/// A plant in `sampled` mode whose caller is the controller: sensors, a wrench, and its newest sample.
+/// A plant in `sampled` mode whose caller is the controller: sensors, a command, and its newest sample.
 #pragma once
 
 #include "hexservo/controller.hpp"
@@ -17,8 +17,9 @@ class PlantInSteps {
   PlantInSteps(const PlantInSteps&) = delete;
   PlantInSteps& operator=(const PlantInSteps&) = delete;
 
-  /// Commands a wrench for this tick, and goes on to the next one [N; N m].
-  virtual void command(const Vector6<double>& wrench) = 0;
+  /// Commands what the drives take for this tick, and goes on to the next one: a wrench [N; N m], or leg positions [m],
+  /// of cranks [rad].
+  virtual void command(const Vector6<double>& command) = 0;
 
   Settings settings;                      ///< a recorded motion is shared with the plant
   int points;                             ///< of the target
@@ -37,7 +38,7 @@ void require_sampled(const Settings& settings, const std::string& by);
 /// @param by whose wrench it is, or what takes it
 void require_commanded(const Settings& settings, const std::string& by);
 
-/// @throws std::invalid_argument as `simulate` and `require_commanded`
+/// @throws std::invalid_argument as `simulate` and `require_sampled`
 std::unique_ptr<PlantInSteps> commanded_plant(const Settings& settings);
 
 }  // namespace hexservo::detail

@@ -40,6 +40,7 @@ from fmpy.fmi3 import FMU3Slave  # noqa: E402
 VERSIONS = (2, 3)
 HEADERS = Path(fmpy.__file__).parent / "c-code"
 SHORT = {"simulation.duration": 0.2}
+MOTORS = {"actuators": {"kind": "position_torque", "motor": {"kp": 10.0, "kv": 0.1, "friction": 0.1}}}  # N m, rad
 
 
 @pytest.fixture(autouse=True)
@@ -327,10 +328,21 @@ def test_the_plant_is_that_of_custom_controllers_bit_for_bit(make: Any, fmi: int
 
 
 @pytest.mark.parametrize("fmi", VERSIONS)
-@pytest.mark.parametrize(("name", "points"), [("composite-30hz", 4), ("real-machine", 4)])
-def test_plant_and_controller_together_are_the_loop(make: Any, fmi: int, name: str, points: int) -> None:
+@pytest.mark.parametrize(
+    ("name", "changes", "command"),
+    [
+        ("composite-30hz", {}, "wrench"),
+        ("real-machine", {}, "wrench"),
+        ("pi-h824-positions", {"simulation.duration": 1.0}, "leg_positions"),
+        ("reachy-mini-head", MOTORS, "leg_positions"),  # of cranks
+    ],
+)
+def test_plant_and_controller_together_are_the_loop(
+    make: Any, fmi: int, name: str, changes: dict[str, Any], command: str
+) -> None:
     """The controller ticks first: with what the plant's sensors give it commands what the loop's controller does."""
-    scenario = hs.load_scenario(name).updated(SHORT)
+    scenario = hs.load_scenario(name).updated({**SHORT, **changes})
+    points = scenario.target.count
     run = hs.simulate(scenario.updated({"simulation.log_every": 1}))
     plant = make(scenario, fmi, "plant").instance()
     controller = make(scenario, fmi, "controller").instance()
@@ -343,7 +355,7 @@ def test_plant_and_controller_together_are_the_loop(make: Any, fmi: int, name: s
             controller.put(signal, plant.get(signal, width))
         controller.set("exposure", plant.get("exposure"))
         controller.step(tick)
-        plant.put("wrench", controller.get("wrench", 6))
+        plant.put(command, controller.get(command, 6))
         plant.step(tick)
         np.testing.assert_array_equal(plant.get("feature_error", 2 * points), run.feature_error[row], err_msg=str(row))
         np.testing.assert_array_equal(plant.get("leg_forces", 6), run.leg_forces[row], err_msg=str(row))
@@ -480,12 +492,45 @@ def test_the_parameters_of_a_plant_act(make: Any) -> None:
         assert not np.array_equal(positions(acting), expected), acting
 
 
+@pytest.mark.parametrize(("name", "own", "others"), [
+    ("pi-h824-positions", "actuators.position.bandwidth", "actuators.motor.kp"),
+    ("reachy-mini-motors", "actuators.motor.kp", "actuators.position.bandwidth"),
+])  # fmt: skip
+def test_a_plant_of_legs_that_take_positions_rests_until_it_is_commanded(
+    make: Any, name: str, own: str, others: str
+) -> None:
+    """Its input starts where the legs are. Then it moves as they respond, also before the first image."""
+    scenario = hs.load_scenario(name)
+    unit = make(scenario, 2, "plant")
+    found = parameters(unit)
+    assert {own, "uncertainty.gravity", "seed"} <= found
+    assert not found & {others, "actuators.hold", "camera.timeout", "controller.safe.damping"}
+
+    def moved(values: dict[str, float]) -> float:
+        instance = unit.instance()
+        instance.start(**values)
+        legs = instance.get("leg_lengths", 6)
+        for _ in range(5):
+            assert instance.step(scenario.simulation.step)
+        sunk = np.abs(instance.get("leg_lengths", 6) - legs).max()
+        instance.put("leg_positions", legs + 0.1 * scenario.robot.stroke)
+        for _ in range(5):
+            assert instance.step(scenario.simulation.step)
+        way = float(np.abs(instance.get("leg_lengths", 6) - legs).max())
+        assert way > 2.0 * sunk
+        return way
+
+    start = value_at(scenario, own)
+    assert moved({own: 0.7 * start}) < 0.98 * moved({})
+
+
+@pytest.mark.parametrize("name", ["composite-30hz", "pi-h824-positions", "reachy-mini-motors"])
 @pytest.mark.parametrize("fmi", VERSIONS)
-def test_a_plant_that_is_commanded_no_number_diverges(make: Any, fmi: int) -> None:
-    scenario = hs.load_scenario("composite-30hz").updated(SHORT)
+def test_a_plant_that_is_commanded_no_number_diverges(make: Any, fmi: int, name: str) -> None:
+    scenario = hs.load_scenario(name).updated(SHORT)
     unit = make(scenario, fmi, "plant").instance()
     unit.start()
-    unit.put("wrench", [np.nan] * 6)
+    unit.put("wrench" if name == "composite-30hz" else "leg_positions", [np.nan] * 6)
     assert not unit.step(scenario.simulation.step)
     assert unit.get("outcome") == 1
 

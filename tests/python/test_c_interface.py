@@ -287,24 +287,6 @@ def test_a_plant_without_a_command_is_where_it_starts(library: ctypes.CDLL, scen
     library.hexservo_plant_destroy(plant)
 
 
-@pytest.mark.parametrize("kind", ["position", "position_torque"])
-def test_a_plant_whose_drives_take_positions_is_refused_as_the_header_states(
-    library: ctypes.CDLL, scenario: Handle, kind: str
-) -> None:
-    for key, value in flat(hs.load_scenario("composite-30hz").updated({"actuators.kind": kind})).items():
-        assert scenario.set(key, value) == OK
-    plant = ctypes.c_void_p(1)
-    assert library.hexservo_plant_create(scenario.handle, ctypes.byref(plant)) == REFUSED
-    assert plant.value is None
-    assert scenario.message() == (
-        "actuators.kind: expected force for a plant that is commanded, whose wrench acts on the platform, got one that "
-        "takes positions"
-    )
-    comment, found, _ = HEADER.read_text(encoding="utf-8").partition("hexservo_status hexservo_plant_create(")
-    assert found
-    assert "`actuators.kind` is not force" in comment[comment.rindex("/**") :]
-
-
 @pytest.fixture(scope="module")
 def client(path: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The program in C99, without a warning."""
@@ -431,6 +413,15 @@ def numbers(line: str) -> Array:
         ("fails-gravity", {"simulation.duration": 0.5, "simulation.log_every": 100}),  # legs beyond stroke and force
         ("real-machine", {"simulation.duration": 0.5}),
         ("fails-leg-limits", {}),  # which a leg beyond its stroke ends
+        ("pi-h824-positions", {"simulation.duration": 1.0}),
+        (
+            "reachy-mini-head",
+            {
+                "simulation.duration": 0.5,
+                "actuators.kind": "position_torque",
+                "actuators.motor": {"kp": 10.0, "kv": 0.1, "friction": 0.1},
+            },
+        ),  # N m, rad; cranks
     ],
 )
 def test_a_program_in_c_and_python_agree_bit_for_bit(client: Path, name: str, changes: dict[str, object]) -> None:

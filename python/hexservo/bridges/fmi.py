@@ -17,7 +17,7 @@ import numpy as np
 from hexservo import _core
 from hexservo.bridges.model_description import UnitVariable, model_description
 from hexservo.run.c_library import c_library
-from hexservo.run.controller import tick_keys, unused_by_law
+from hexservo.run.controller import OF_FORCES, tick_keys, unused_by_law
 from hexservo.run.metrics import METRICS, metric_unit
 from hexservo.run.quantities import quantities
 from hexservo.scenario.block import SAMPLED_MODE
@@ -40,9 +40,14 @@ _DATE = (1980, 1, 1, 0, 0, 0)  # of every file in a unit: equal scenarios give e
 _LEFT_OUT = ("simulation.log_every", "simulation.mode", "robot.legs")
 # Of a controller: which outputs it has.
 _NOT_OF_A_CONTROLLER = ("actuators.kind", "camera.latency_known")
-# A plant that takes wrenches has no law and no drives that take positions, is not judged, and goes on until it fails.
-_NOT_OF_A_PLANT = ("controller.", "actuators.kind", "actuators.position.", "actuators.motor.", "metrics.",
-                   "simulation.duration", "camera.latency_known")  # fmt: skip
+# A plant has no law, is not judged, and goes on until it fails. What it takes is its input.
+_NOT_OF_A_PLANT = ("controller.", "actuators.kind", "metrics.", "simulation.duration", "camera.latency_known")
+# Keys of other drives. Legs that follow positions have no limited force, and where they are sent no brake acts.
+_NOT_OF_DRIVES = {
+    "force": ("actuators.position.", "actuators.motor."),
+    "position": (*OF_FORCES, "actuators.motor.", "robot.force_limit", "camera.timeout"),
+    "position_torque": (*OF_FORCES, "actuators.position.", "camera.timeout"),
+}
 _TYPES = {"number": "real", "array": "real", "whole": "whole", "flag": "flag", "choice": "text", "seed": "text"}
 
 
@@ -59,8 +64,8 @@ def fmu(scenario: Scenario, *, fmi: Literal[2, 3] = 2, what: UnitKind = "loop") 
         Version of the standard: 2 (2.0) or 3 (3.0).
     what
         "loop": plant and controller, without inputs. "plant": takes a wrench ``wrench[1]`` ... ``[6]`` about the
-        platform's origin in B [N; N m], of scenarios in sampled mode. "controller": the servo tick, from sensors to
-        the wrench.
+        platform's origin in B [N; N m], or ``leg_positions`` [m], [rad] where the drives take positions, of scenarios
+        in sampled mode. "controller": the servo tick, from sensors to either.
 
     Returns
     -------
@@ -87,10 +92,6 @@ def fmu(scenario: Scenario, *, fmi: Literal[2, 3] = 2, what: UnitKind = "loop") 
     if what == "plant" and not scenario.sampled:
         raise ValueError(
             f"simulation.mode: expected {SAMPLED_MODE} for a plant that is commanded, got {scenario.simulation.mode}"
-        )
-    if what == "plant" and scenario.actuators.takes_positions:
-        raise ValueError(
-            f"actuators.kind: expected force for a plant that is commanded by wrenches, got {scenario.actuators.kind}"
         )
     settings = core_parameters(scenario)
     signals = {"loop": _of_loop, "plant": _of_plant, "controller": _of_controller}[what](scenario, settings)
@@ -145,7 +146,8 @@ def _keys(settings: _core.Settings, what: UnitKind) -> Iterator[_core.ScenarioKe
     if not (_has_gate(settings) or _has_border(settings)):  # no point is ever lost
         unused += ("camera.on_lost",)
     for key in _core.scenario_keys(settings.law):
-        brakes = what == "plant" and key.name.startswith("controller.safe.")  # without an image
+        # without an image
+        brakes = what == "plant" and settings["actuators.kind"] == "force" and key.name.startswith("controller.safe.")
         acts = brakes or not key.name.startswith(unused)
         if acts and (not key.sampled or settings["simulation.mode"] == SAMPLED_MODE):
             yield key
@@ -157,7 +159,7 @@ def _unused_by_plant(settings: _core.Settings) -> tuple[str, ...]:
     So of the camera that the controller assumes there acts only what decides whether a point is seen: a gate, or which
     rays a distorting lens shows.
     """
-    unused: tuple[str, ...] = _NOT_OF_A_PLANT
+    unused: tuple[str, ...] = (*_NOT_OF_A_PLANT, *_NOT_OF_DRIVES[settings["actuators.kind"]])
     if not _has_gate(settings):
         unused += ("camera.prediction", "uncertainty.mount.")
         if settings["camera.prediction"] == "encoder":  # which as_printed excludes
@@ -253,7 +255,11 @@ def _of_loop(scenario: Scenario, settings: _core.Settings) -> Iterator[UnitVaria
 
 
 def _of_plant(scenario: Scenario, settings: _core.Settings) -> Iterator[UnitVariable]:
-    yield from _signals(scenario, "input", ("wrench",))
+    if scenario.actuators.takes_positions:
+        at_start = {"leg_positions": _core.SampledRun(settings).observe().leg_positions}
+        yield from _signals(scenario, "input", ("leg_positions",), at_start)
+    else:
+        yield from _signals(scenario, "input", ("wrench",))
     yield from _signals(scenario, "output", ("features", "depth"))
     yield UnitVariable("output", "real", "exposure", "exposure", unit="s")
     measured = ("position", "quaternion", "twist", "leg_lengths", "leg_rates")

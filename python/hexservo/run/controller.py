@@ -27,7 +27,7 @@ _MEASURED = ("features", "depth", "position", "quaternion", "twist", "leg_length
 _SEEN_FROM_HOME = ("target.initial_features", "target.depth")  # in place of points
 _OF_POSITIONS = ("actuators.position.", "controller.virtual_platform.")  # the core refuses them beside forces
 # and these beside positions
-_OF_FORCES = ("actuators.hold", "actuators.saturation", "actuators.bandwidth", "actuators.quantisation",
+OF_FORCES = ("actuators.hold", "actuators.saturation", "actuators.bandwidth", "actuators.quantisation",
               "controller.safe.")  # fmt: skip
 
 
@@ -225,7 +225,7 @@ def controller_keys(settings: Settings) -> Iterator[_core.ScenarioKey]:
     The machine and the target are among them whole, also where the tick does not use them all.
     """
     sampled = settings["simulation.mode"] == SAMPLED_MODE
-    unused: tuple[str, ...] = _OF_FORCES if _takes_positions(settings) else _OF_POSITIONS
+    unused: tuple[str, ...] = OF_FORCES if _takes_positions(settings) else _OF_POSITIONS
     if settings["target.points"] is not None:
         unused += _SEEN_FROM_HOME
     if settings["robot.legs"] == "prismatic":
@@ -241,7 +241,7 @@ def unused_by_law(name: str) -> tuple[str, ...]:
     law = _core.LAW_TRAITS[name]
     unused: tuple[str, ...] = () if law.output == "wrench" else ("controller.virtual_platform.",)
     if law.output == "pose":  # positions, by a law that predicts its target itself
-        unused += ("camera.prediction", "camera.gate", "camera.convention", "camera.mount.on", *_OF_FORCES)
+        unused += ("camera.prediction", "camera.gate", "camera.convention", "camera.mount.on", *OF_FORCES)
     else:
         unused += ("camera.latency_known",)
     if not law.switching:
