@@ -5,7 +5,7 @@ SHELL := /bin/bash
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
-.PHONY: help paper explorer explorer-test docs docs-links wheel wheel-test test test-all fuzz asan tsan bench bench-step bench-ratios bench-peers bench-reachy format clean setup test-setup benchmark-setup browser-setup peer-setup \
+.PHONY: help paper explorer explorer-test docs docs-links wheel wheel-test test test-all fuzz asan tsan aarch64 bench bench-step bench-ratios bench-peers bench-reachy format clean setup test-setup benchmark-setup browser-setup peer-setup \
   system FORCE
 
 PYTHON ?= python3
@@ -32,7 +32,7 @@ help:
 	make docs     build the site, build/site/index.html: tutorials, guides, reference, gallery (make docs-links: links to the network)
 	make wheel    build dist/: the sources' archive and a wheel that needs no compiler (PYTHONS='python3.11 python3.13': one for each)
 	make wheel-test  the same in two folders with equal bytes, and tried in new Debian systems without a compiler (as root)
-	make test-all  the same, the site, the wheel, and the explorer's tests (make explorer-test), slow tests, sanitizers (make asan, make tsan) and a minute of make fuzz
+	make test-all  the same, the site, the wheel, and the explorer's tests (make explorer-test), slow tests, sanitizers (make asan, make tsan), 64-bit ARM (make aarch64) and a minute of make fuzz
 	make bench    measure this machine: servo tick, runs, batches, the core's parts; written to out/bench and BENCHMARKS.md
 	make bench-step  what a step costs by part: instructions, loads, stores, time; written to BENCHMARKS.md (needs valgrind)
 	make bench-ratios  packs to a bare loop, sampled to continuous mode, pbvs to composite: ratios in one run; written to BENCHMARKS.md
@@ -40,6 +40,7 @@ help:
 	make bench-reachy  face tracking on the model of a robot that others built, beside its own law (OPTIONS=--quick: a minute)
 	make asan     run the C++ tests under the address and undefined-behaviour sanitizers
 	make tsan     run the C++ tests under the thread sanitizer
+	make aarch64  run the C++ tests for 64-bit ARM in an emulator, and compare exported programs with simulated controllers bit for bit
 	make fuzz     random scenarios, ticks, files and kills for SECONDS=60, from SEED= (drawn and printed without one)
 	make format   format the C++ and Python files
 	make clean    remove what the others built (.venv, build, dist, the explorer, caches), not the results in out
@@ -124,6 +125,7 @@ test-all: test
 	$(SETUP) wheel-test
 	$(SETUP) asan
 	$(SETUP) tsan
+	$(SETUP) aarch64
 	$(SETUP) fuzz
 	echo "make test-all: passed"
 
@@ -132,6 +134,12 @@ asan: $(BUILD_TOOLS)
 
 tsan: $(BUILD_TOOLS)
 	@cmake --workflow --preset tsan
+
+aarch64: $(PACKAGE) $(ALL_TOOLS)
+	@$(SETUP) system PEER="g++-aarch64-linux-gnu" PEER_PROGRAM=aarch64-linux-gnu-g++
+	$(SETUP) system PEER=qemu-user PEER_PROGRAM=qemu-aarch64
+	cmake --workflow --preset aarch64
+	python -m pytest -m slow tests/python/test_replay.py -k arm
 
 # SECONDS is a variable of the shell too, and of no environment; it is make's here.
 fuzz: SECONDS = 60

@@ -761,7 +761,7 @@ HEXSERVO_FOR_EACH_LAW(HEXSERVO_HERE)
 #undef HEXSERVO_HERE
 #undef HEXSERVO_OF
 
-template <int alignment, int static_alignment, int storage_order, std::size_t settings, std::size_t vector>
+template <int alignment, int static_alignment, int storage_order, std::size_t settings, std::size_t vector, bool fuses>
 bool library_was_built_with_other_flags() noexcept {
   return false;
 }

@@ -1,6 +1,6 @@
 /// @file
-/// Random inputs from a fixed seed, the same on every machine. A test writes `CAPTURE(random.seed())`, so that a
-/// failure prints it.
+/// Random inputs from a fixed seed, the same numbers on every machine; where an expression draws twice, the compiler
+/// chooses which comes first. A test writes `CAPTURE(random.seed())`, so that a failure prints it.
 #pragma once
 
 #include "hexservo/types.hpp"

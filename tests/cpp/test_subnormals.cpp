@@ -117,8 +117,10 @@ TEST_CASE("a tick leaves the mode of its caller alone") {
 TEST_CASE("a tick and its gains do not trap where their caller's exceptions do, and they do again after them") {
   const int traps = FE_INVALID | FE_DIVBYZERO | FE_OVERFLOW;
   std::feclearexcept(FE_ALL_EXCEPT);
-  REQUIRE(feenableexcept(traps) != -1);
-  const bool could = fegetexcept() == traps;  // not every processor can
+  const bool could = feenableexcept(traps) != -1 && fegetexcept() == traps;  // not every processor can
+#ifdef __x86_64__
+  REQUIRE(could);
+#endif
   const ControllerGains<Hybrid> gains = controller_gains<Hybrid>(paper_settings(), kPeriod);
   ControllerState<Hybrid> state = initial_state(gains);
   ControllerInput input = input_at_home(gains, 1e-3);

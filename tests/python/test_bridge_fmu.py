@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import ctypes
 import importlib
+import io
 import re
 import shutil
 import subprocess
+import zipfile
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -873,6 +875,23 @@ def test_refusals() -> None:
     ):
         with pytest.raises(ValueError, match=text):
             hs.bridges.fmu(paper, **options)
+
+
+def test_a_unit_is_for_the_processor_that_it_is_exported_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    paper = hs.load_scenario("paper")
+    for machine, fmi, folder in (
+        ("x86_64", 2, "linux64"),
+        ("x86_64", 3, "x86_64-linux"),
+        ("aarch64", 3, "aarch64-linux"),
+    ):
+        monkeypatch.setattr("platform.machine", lambda machine=machine: machine)
+        with zipfile.ZipFile(io.BytesIO(hs.bridges.fmu(paper, fmi=fmi))) as archive:
+            assert f"binaries/{folder}/hexservo.so" in archive.namelist()
+    with pytest.raises(ValueError, match=r"processors of the kind aarch64, got 2; 3 has$"):
+        hs.bridges.fmu(paper, fmi=2)
+    monkeypatch.setattr("platform.machine", lambda: "riscv64")
+    with pytest.raises(ValueError, match=r"processors of the kind riscv64, got 3$"):
+        hs.bridges.fmu(paper, fmi=3)
 
 
 def test_the_command_writes_units(tmp_path: Path) -> None:

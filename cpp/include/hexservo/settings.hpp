@@ -345,15 +345,22 @@ HEXSERVO_FOR_EACH_LAW(HEXSERVO_ELSEWHERE)
 #undef HEXSERVO_ELSEWHERE
 #undef HEXSERVO_OF
 
+/// Whether Eigen fuses products and sums by itself; on 64-bit ARM it does not with `-U__ARM_FEATURE_FMA`.
+#if defined(__aarch64__) && defined(__ARM_FEATURE_FMA)
+inline constexpr bool kEigenFuses = true;
+#else
+inline constexpr bool kEigenFuses = false;
+#endif
+
 /// Exists in the library for its own memory layout only. Code that is compiled with other flags for the instruction set
 /// (-mavx, -march=native), for Eigen (EIGEN_MAX_STATIC_ALIGN_BYTES, EIGEN_DEFAULT_TO_ROW_MAJOR) or for the standard
 /// library (_GLIBCXX_DEBUG) lays out settings, gains and state differently, and does not link: give both the same
-/// flags.
-template <int alignment, int static_alignment, int storage_order, std::size_t settings, std::size_t vector>
+/// flags. Nor does code that rounds otherwise.
+template <int alignment, int static_alignment, int storage_order, std::size_t settings, std::size_t vector, bool fuses>
 bool library_was_built_with_other_flags() noexcept;
 #define HEXSERVO_LAYOUT                                                                           \
   EIGEN_MAX_ALIGN_BYTES, EIGEN_MAX_STATIC_ALIGN_BYTES, EIGEN_DEFAULT_MATRIX_STORAGE_ORDER_OPTION, \
-      sizeof(hexservo::Settings), sizeof(std::pmr::vector<double>)
+      sizeof(hexservo::Settings), sizeof(std::pmr::vector<double>), hexservo::kEigenFuses
 [[maybe_unused]] static const bool kOtherLayout = library_was_built_with_other_flags<HEXSERVO_LAYOUT>();
 
 }  // namespace hexservo

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import platform
 import uuid
 import zipfile
 import zlib
@@ -31,7 +32,8 @@ UnitKind = Literal["loop", "plant", "controller"]
 """What a unit computes."""
 
 _IDENTIFIER = "hexservo"
-_PLATFORM = {2: "linux64", 3: "x86_64-linux"}
+# Folders of a unit's library by the version of the standard and the processor; 2.0 has no name for ARM.
+_FOLDERS = {2: {"x86_64": "linux64"}, 3: {"x86_64": "x86_64-linux", "aarch64": "aarch64-linux"}}
 _TITLE = "hexservo model 1"
 """First line of `resources/model.txt`, which distinguishes our units from others."""
 
@@ -52,7 +54,7 @@ _TYPES = {"number": "real", "array": "real", "whole": "whole", "flag": "flag", "
 
 
 def fmu(scenario: Scenario, *, fmi: Literal[2, 3] = 2, what: UnitKind = "loop") -> bytes:
-    """Return a scenario as a Functional Mock-up Unit for co-simulation on Linux x86-64.
+    """Return a scenario as a Functional Mock-up Unit for co-simulation on Linux, for the processor that this runs on.
 
     Parameters
     ----------
@@ -79,14 +81,21 @@ def fmu(scenario: Scenario, *, fmi: Literal[2, 3] = 2, what: UnitKind = "loop") 
     TypeError
         For anything but a `Scenario`.
     ValueError
-        For another version or kind, a plant in continuous mode, and what the core refuses.
+        For another version or kind, a plant in continuous mode, a processor that the version has no units for (FMI 3
+        has those of x86-64 and 64-bit ARM, FMI 2 of x86-64), and what the core refuses.
     FileNotFoundError
         Where the package was built without `c_library`, which the unit contains.
     """
     require_scenario(scenario)
     # 2.0 and True equal a version, but are not written as one
-    if repr(fmi) not in map(repr, _PLATFORM):
+    if repr(fmi) not in map(repr, _FOLDERS):
         raise ValueError(f"fmi: expected 2 or 3, got {fmi!r}")
+    processor = platform.machine()
+    if processor not in _FOLDERS[fmi]:
+        raise ValueError(
+            f"fmi: expected a version that has units for processors of the kind {processor}, got {fmi}"
+            + ("; 3 has" if processor in _FOLDERS[3] else "")
+        )
     if what not in get_args(UnitKind):
         raise ValueError(f"what: expected {', '.join(get_args(UnitKind))}, got {what!r}")
     if what == "plant" and not scenario.sampled:
@@ -107,7 +116,7 @@ def fmu(scenario: Scenario, *, fmi: Literal[2, 3] = 2, what: UnitKind = "loop") 
     return _packed(
         {
             "modelDescription.xml": model_description(scenario, fmi, what, _IDENTIFIER, token, variables),
-            f"binaries/{_PLATFORM[fmi]}/{_IDENTIFIER}.so": c_library().read_bytes(),
+            f"binaries/{_FOLDERS[fmi][processor]}/{_IDENTIFIER}.so": c_library().read_bytes(),
             "resources/model.txt": "\n".join([_TITLE, f"token {token}", *lines, ""]).encode(),
             "resources/scenario.yaml": scenario.to_yaml().encode(),
         }
