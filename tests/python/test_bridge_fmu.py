@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, Literal
 from xml.etree import ElementTree
 
 import numpy as np
@@ -879,11 +879,12 @@ def test_refusals() -> None:
 
 def test_a_unit_is_for_the_processor_that_it_is_exported_on(monkeypatch: pytest.MonkeyPatch) -> None:
     paper = hs.load_scenario("paper")
-    for machine, fmi, folder in (
+    cases: list[tuple[str, Literal[2, 3], str]] = [
         ("x86_64", 2, "linux64"),
         ("x86_64", 3, "x86_64-linux"),
         ("aarch64", 3, "aarch64-linux"),
-    ):
+    ]
+    for machine, fmi, folder in cases:
         monkeypatch.setattr("platform.machine", lambda machine=machine: machine)
         with zipfile.ZipFile(io.BytesIO(hs.bridges.fmu(paper, fmi=fmi))) as archive:
             assert f"binaries/{folder}/hexservo.so" in archive.namelist()

@@ -148,7 +148,7 @@ def built(preset: str, folder: Path, *options: str) -> Path:
     sources = [path for path in (ROOT / "cpp").rglob("*") if path.suffix in (".hpp", ".cpp")]
     if there.exists() and there.stat().st_mtime >= max(path.stat().st_mtime for path in sources):
         return there
-    made = ["cmake", "-S", ROOT, "-B", folder, "-DCMAKE_BUILD_TYPE=Release", *options]
+    made = ["cmake", "-S", str(ROOT), "-B", str(folder), "-DCMAKE_BUILD_TYPE=Release", *options]
     subprocess.run(made, check=True, capture_output=True)
     build = ["cmake", "--build", str(folder), "--target", "hexservo_core", "-j2"]
     subprocess.run(build, check=True, capture_output=True)
