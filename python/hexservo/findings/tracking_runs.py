@@ -209,7 +209,7 @@ def seeds_of_runs(scenario: Scenario) -> NDArray[np.uint64]:
     return np.asarray(np.uint64(scenario.seed) + np.arange(RUNS, dtype=np.uint64))
 
 
-def _run(scenario: Scenario, variations: Mapping[str, Array]) -> BatchResult:
+def _run(scenario: Scenario, variations: Mapping[str, NDArray[Any]]) -> BatchResult:
     return whole(simulate_batch(scenario, variations, log="trajectory", metrics=()))
 
 
