@@ -16,6 +16,7 @@ from scipy.special import ndtri
 
 import hexservo as hs
 from hexservo.campaigns.distributions import uniform_of
+from hexservo.campaigns.judging import Judge
 from hexservo.campaigns.plan import load_plan
 from hexservo.campaigns.rare import RareFailures, repeated, subset_simulation
 from hexservo.campaigns.sensitivity import Indices, sobol_indices
@@ -419,6 +420,17 @@ def test_no_estimate_of_a_campaign_where_noise_decides() -> None:
     assert sentences[0].startswith("There is no estimate: noise decides which runs have a margin below ")
     assert "a campaign needs none of this" in sentences[1]
     assert as_data(estimate.section().data)["probability"] is None
+
+
+def test_without_noise_none_decides(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No mass error that is drawn fails, so that all chains end where the margin is smallest."""
+    monkeypatch.setattr(Judge, "smallest_margins", lambda judge, numbers: 1.0 - 5.0 * numbers["uncertainty.gravity"])
+    file = {"scenario": "paper", "vary": {"uncertainty.gravity": {"uniform": [0.0, 0.1]}}, "runs": 1}
+    for seed in range(10):
+        estimate = hs.estimate_rare_failures(file | {"require": ["outcome == completed"]}, samples=100, seed=seed)
+        assert not any(each.noise_decides for each in estimate.repetitions)
+        assert estimate.probability == 0.0
+        assert estimate.section().sentences[0] == "No level reached a failure: the smallest margin is 0.5."
 
 
 def test_estimates_with_one_noise_say_so() -> None:

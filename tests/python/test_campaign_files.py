@@ -250,9 +250,24 @@ def test_a_margin_has_the_sign_of_its_distance_and_no_value_is_below_none(distan
     text=st.sampled_from(["<=", "<", ">=", ">"]),
 )
 def test_a_margin_is_negative_where_the_requirement_fails(value: float, bound: float, text: str) -> None:
-    holds = {"<=": value <= bound, "<": value < bound, ">=": value >= bound, ">": value > bound}[text]
+    seen = bound if abs(value - bound) <= 1e-12 * abs(bound) else value  # a difference of rounding is none
+    holds = {"<=": seen <= bound, "<": seen < bound, ">=": seen >= bound, ">": seen > bound}[text]
     margin = margin_of(requirement_of(f"effort {text} {bound!r}").distance(np.array([value])))
     assert (margin[0] >= 0) == holds
+
+
+@pytest.mark.parametrize("step", [1e-3, 5e-4, 1e-4])
+def test_a_time_of_whole_steps_is_at_the_bound_that_is_written_for_it(step: float) -> None:
+    """283 steps of 1 ms are 0.28300000000000003 s."""
+    counts = np.arange(1, 3000)
+    written = [repr(round(float(time), 6)) for time in counts * step]
+    assert np.mean(counts * step > np.array(written, dtype=float)) > 0.1
+    for text, is_kept in (("<=", True), (">=", True), ("<", False), (">", False)):
+        for count, bound in zip(counts, written, strict=True):
+            distance = requirement_of(f"settling_time {text} {bound}").distance(np.array([count * step]))[0]
+            assert distance == 0 if is_kept else distance < 0
+            later = requirement_of(f"settling_time {text} {bound}").distance(np.array([(count + 1) * step]))[0]
+            assert (later > 0) == (text in (">=", ">"))
 
 
 # ---- Files ----------------------------------------------------------------------------------------------------------
@@ -398,6 +413,14 @@ REFUSED = [
     ),
     ({"vary": {"target.rotation": {"uniform": [0, 1], "add": True}}}, "vary.target.rotation: expected neither add nor"),
     ({"vary": {"target.rotation": 3}}, "vary.target.rotation: expected one of"),
+    (
+        {"vary": {"target.rotation": {"normal": [0.0, 2.0], "each": True}}},
+        r"rotation: expected a rotation vector at most pi long .radians., got one of 28\.\d+ .degrees. multiply by",
+    ),
+    (
+        {"vary": {"target.rotation": {"uniform": [-3, 1]}}},
+        r"got one of 5\.19615 .*, which it reaches; clip it or narrow",
+    ),
     (
         {"vary": {"target.rotation": {"uniform": [0, 0.1]}, "target.depth": {"uniform": [0.4, 0.5]}}},
         "vary.target.depth: expected nothing that places the points beside target.translation and target.rotation",

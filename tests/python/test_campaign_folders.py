@@ -28,6 +28,37 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+# ---- Chunks that a campaign does not have ---------------------------------------------------------------------------
+
+
+def test_chunks_of_more_runs_than_a_campaign_has_now_are_left_alone(tmp_path: Path) -> None:
+    """Where `until` alone ended it, and a damaged chunk keeps it from being complete at once."""
+    folder = tmp_path / "out"
+    ended = hs.campaign({**FILE, "runs": None, "chunk_size": 20, "until": {"width_below": 0.3}}, folder)
+    before = ended.margin()
+    chunks = sorted((folder / "chunks").iterdir())
+    assert len(chunks) > 2
+    kept = chunks[-1].read_bytes()
+    chunks[0].write_bytes(b"damaged")
+    warnings: list[str] = []
+    fewer = hs.campaign({**FILE, "chunk_size": 20}, folder, runs=40, warn=warnings.append)
+    assert len(warnings) == 1
+    assert "its runs are computed again" in warnings[0]
+    assert len(fewer) == 40
+    assert fewer.margin().tolist() == before[:40].tolist()
+    assert chunks[-1].read_bytes() == kept
+
+
+def test_a_file_with_another_number_of_digits_is_no_chunk(whole: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    shutil.copytree(whole, folder)
+    shutil.copy(folder / "chunks" / "000001.parquet", folder / "chunks" / "0000001.parquet")
+    (folder / "chunks" / "000001.parquet").unlink()
+    again = hs.campaign(FILE, folder)
+    assert again.complete
+    assert again.margin().tolist() == hs.load_campaign(whole).margin().tolist()
+
+
 # ---- Folders --------------------------------------------------------------------------------------------------------
 
 
@@ -95,8 +126,10 @@ def test_folders_that_are_refused(whole: Path, tmp_path: Path) -> None:
     shutil.copytree(whole, tmp_path / "old")
     record = (tmp_path / "old" / "campaign.yaml").read_text(encoding="utf-8")
     for old, found in (("format: 1", "one of format 1"), ("", "a file that names no format")):
-        (tmp_path / "old" / "campaign.yaml").write_text(record.replace("format: 2", old), encoding="utf-8")
-        message = f"expected a campaign of format 2, got {found}; run it again in a new folder$"
+        (tmp_path / "old" / "campaign.yaml").write_text(
+            record.replace(f"format: {store.FORMAT}", old), encoding="utf-8"
+        )
+        message = f"expected a campaign of format {store.FORMAT}, got {found}; run it again in a new folder$"
         with pytest.raises(hs.ResultError, match=message):
             hs.load_campaign(tmp_path / "old")
 

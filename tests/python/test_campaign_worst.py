@@ -54,6 +54,23 @@ def test_the_box_of_a_distribution(form: dict[str, Any], box: tuple[float, float
     assert set(beyond.tolist()) <= {0.0, 1.0} if "choice" not in form else beyond.min() >= 0
 
 
+@pytest.mark.parametrize(
+    ("form", "ends"),
+    [
+        ({"uniform": [0.0, 0.1]}, (0.0, 0.1)),
+        ({"uniform": [-0.3, 0.3]}, (-0.3, 0.3)),
+        ({"uniform": [0.0, 0.1], "clip": [-1.0, 0.07]}, (0.0, 0.07)),
+        ({"log": [1e-3, 40.0]}, (1e-3, 40.0)),
+        ({"log": [1e-3, 40.0], "clip": [2e-3, 50.0]}, (2e-3, 40.0)),
+    ],
+)
+def test_ends_of_a_box_are_the_numbers_that_the_file_has(form: dict[str, Any], ends: tuple[float, float]) -> None:
+    """And not the outermost draw, as 1.11e-17 in place of 0."""
+    variation = variation_of(form)
+    assert variation.box == variation.reach == ends
+    assert variation.in_box(np.zeros(1)) == pytest.approx(ends[0], rel=1e-12, abs=0)
+
+
 def test_a_box_without_width_has_places() -> None:
     variation = variation_of({"normal": [1e20, 1.0]})
     assert variation.box == (1e20, 1e20)

@@ -12,6 +12,7 @@ import hexservo as hs
 from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check import unlikely
+from hexservo.findings.tracking_runs import RUNS, seeds_of_runs
 
 HYBRID = {"controller.law": "hybrid"}
 EXACT = {**HYBRID, "uncertainty.gravity": 0.0, "uncertainty.depth": 0.0}
@@ -52,6 +53,15 @@ MOTIONS: list[tuple[str, dict[str, Any]]] = [
     ("pi-h824", {"uncertainty.focal_length": 0.001, **sinusoid([0.005, 0.0, 0.0], 0.5)}),  # nor with a wrong camera
     ("pi-h824", sinusoid([0.0008, 0.0, 0.0], 0.5)),  # more than a linear loop: K_v sticks
 ]
+
+
+@pytest.mark.parametrize("seed", [2**63 - 2, 2**63 + 7, 2**64 - 2])
+def test_any_seed_is_followed_by_others(seed: int) -> None:
+    """A campaign draws all of 64 bits, and its worst run is a scenario to check."""
+    scenario = hs.load_scenario("composite-30hz").updated({"seed": seed})
+    assert seeds_of_runs(scenario).tolist() == [(seed + place) % 2**64 for place in range(RUNS)]
+    assert said(scenario) == []
+    assert len(said(scenario.updated({"camera.noise": 3.0}))) == 1
 
 
 @pytest.mark.parametrize(("name", "changes"), MOTIONS)

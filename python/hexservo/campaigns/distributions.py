@@ -58,10 +58,13 @@ class Variation:
 
     @property
     def reach(self) -> tuple[float, float]:
-        """The smallest and the largest number that can be drawn; 8.2 standard deviations for a normal one."""
-        if self.kind == "choice":
-            return min(self.parameters), max(self.parameters)
-        low, high = self.numbers(np.array([_SMALLEST, 1.0 - _SMALLEST]))
+        """The smallest and the largest number that is drawn, ends included; of a normal one 8.2 standard deviations."""
+        if self.kind == "normal":
+            low, high = self.numbers(np.array([_SMALLEST, 1.0 - _SMALLEST]))
+        else:
+            low, high = min(self.parameters), max(self.parameters)
+            if self.clip is not None:
+                low, high = np.clip((low, high), *self.clip)
         return float(low), float(high)
 
     @property

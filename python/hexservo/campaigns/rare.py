@@ -185,11 +185,19 @@ def estimate_rare_failures(
     def margin(normal: Array, seeds: NDArray[np.uint64]) -> Array:
         return judge.smallest_margins(judge.drawing.numbers_of(between_ends(ndtr(normal)), seeds))
 
-    return RareFailures(plan, repeated(margin, judge.drawing.dimension, samples, repetitions, seed), seed)
+    drawing = judge.drawing
+    found = repeated(margin, drawing.dimension, samples, repetitions, seed, has_noise=drawing.has_seed)
+    return RareFailures(plan, found, seed)
 
 
 def repeated(
-    margin: Callable[[Array, NDArray[np.uint64]], Array], dimension: int, samples: int, repetitions: int, seed: int
+    margin: Callable[[Array, NDArray[np.uint64]], Array],
+    dimension: int,
+    samples: int,
+    repetitions: int,
+    seed: int,
+    *,
+    has_noise: bool = True,
 ) -> tuple[Levels, ...]:
     """Return independent subset simulations: up to one in which noise decides, or the first alone if it is not rare.
 
@@ -198,14 +206,20 @@ def repeated(
     count, seed = whole_number("repetitions", repetitions, 1), whole_number("seed", seed, 0)
     found: list[Levels] = []
     for repetition in range(count):
-        found.append(subset_simulation(margin, dimension, samples, [seed, repetition] if repetition else seed))
+        own = [seed, repetition] if repetition else seed
+        found.append(subset_simulation(margin, dimension, samples, own, has_noise=has_noise))
         if found[-1].noise_decides or found[0].not_rare:
             break
     return tuple(found)
 
 
 def subset_simulation(
-    margin: Callable[[Array, NDArray[np.uint64]], Array], dimension: int, samples: int, seed: int | Sequence[int]
+    margin: Callable[[Array, NDArray[np.uint64]], Array],
+    dimension: int,
+    samples: int,
+    seed: int | Sequence[int],
+    *,
+    has_noise: bool = True,
 ) -> Levels:
     """Estimate the probability that a margin is negative for standard normal numbers (Au and Beck 2001).
 
@@ -230,6 +244,9 @@ def subset_simulation(
         Of a level, at least 100; rounded down to a multiple of 10.
     seed
         Of the chains: one for `np.random.default_rng`.
+    has_noise
+        Whether the margin depends on the seeds; else chains that do not move have too few runs, and not too few kinds
+        of noise.
 
     Raises
     ------
@@ -264,7 +281,7 @@ def subset_simulation(
         thresholds.append(0.0 if final else threshold)
         if share == 0:
             break
-        if changes < _FEWEST_CHANGES and (kinds := _kinds(seeds[inside])) < _FEWEST_KINDS:
+        if has_noise and changes < _FEWEST_CHANGES and (kinds := _kinds(seeds[inside])) < _FEWEST_KINDS:
             return Levels(math.nan, math.inf, tuple(thresholds), evaluations, kinds)
         correlated = 0.0 if level == 0 else _correlation(inside.reshape(length, chains))
         variation += math.sqrt((1 - share) / (share * len(values)) * (1 + correlated))

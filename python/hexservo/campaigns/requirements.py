@@ -24,6 +24,7 @@ _TEXT = re.compile(r"\s*(?P<name>\w+)\s*(?P<comparison><=|>=|==|!=|<|>)\s*(?P<bo
 _EXPECTED = f'text such as "settling_time <= 0.5" or "outcome == {COMPLETED}"'
 _LARGEST = 1e100  # magnitude of a distance: its square is finite too, for scales next to nothing
 _FAILED_BY_NOTHING = -float(np.finfo(float).tiny)  # distance of a value at a bound that it may not reach
+_ROUNDING = 1e-12  # part of a bound by which a value misses it through rounding: 283 steps of 1 ms are above 0.283 s
 _WITHOUT_VALUE = -1.0  # margin of a completed run whose metric has no value
 _FARTHEST = float(np.nextafter(_WITHOUT_VALUE, 0.0))  # margin of a value, however far from its bound
 
@@ -59,9 +60,10 @@ class Requirement:
         -------
         Array
             (n,), in parts of the scale: at least 0 where the requirement holds, else negative; at most 1e100 either
-            way; NaN where the metric is.
+            way; NaN where the metric is. A value that equals the bound to rounding is at the bound.
         """
         with np.errstate(over="ignore"):
+            values = np.where(np.abs(values - self.bound) <= _ROUNDING * abs(self.bound), self.bound, values)
             room = (self.bound - values if self._is_upper else values - self.bound) / self._unit
         room = np.clip(room, -_LARGEST, _LARGEST)
         holds = _COMPARISONS[self.comparison](values, self.bound)

@@ -23,7 +23,7 @@ from hexservo.run.publish import OutputError, named
 from hexservo.scenario.version import VERSION
 from hexservo.scenario.yaml import ScenarioError, dump_yaml, read_yaml
 
-FORMAT = 6
+FORMAT = 7
 """Of a search's folder: raised with every change of the order in which a search simulates, or of what a step keeps."""
 
 PLAN = "tune.yaml"

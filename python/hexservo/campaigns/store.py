@@ -38,12 +38,12 @@ if TYPE_CHECKING:
 
 __all__ = ["PLAN", "Store", "contents", "read_plan"]
 
-FORMAT = 2
+FORMAT = 3
 """Of a campaign's folder: raised with every change of what a chunk holds."""
 
 PLAN, SUMMARY, WORST = "campaign.yaml", "summary.json", "worst-run.yaml"
 _SEAL = "sha256"  # key of the digest of what a file holds beside it
-_CHUNK = re.compile(r"(?P<index>[0-9]{6,})\.parquet")
+_CHUNK = re.compile(r"(?P<index>[0-9]{6}|[1-9][0-9]{6,})\.parquet")  # as `Store.path_of` names them
 _MAY_CHANGE = (
     "runs",
     "until",
@@ -76,12 +76,17 @@ class Store:
         return self.folder / "chunks" / f"{index:06d}.parquet"
 
     def indices(self) -> list[int]:
-        """Return the indices of the chunks that are there, in order."""
+        """Return the indices of the chunks that are there, in order, without those of more runs than the campaign has.
+
+        Such are left where `until` alone ended a campaign that has fewer runs now.
+        """
         try:
             names = os.listdir(self.folder / "chunks")  # noqa: PTH208 (names only)
         except FileNotFoundError:
             return []
-        return sorted(int(match["index"]) for name in names if (match := _CHUNK.fullmatch(name)))
+        found = sorted(int(match["index"]) for name in names if (match := _CHUNK.fullmatch(name)))
+        count = self.plan.chunk_count
+        return found if count is None else [index for index in found if index < count]
 
     def identity(self, index: int) -> dict[str, Any]:
         """Return what identifies a chunk of this campaign."""

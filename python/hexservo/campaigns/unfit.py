@@ -39,7 +39,7 @@ _CHOSEN = "controller"  # the block whose keys a search for gains may choose
 def unfit(scenario: Scenario, key: str, variation: Variation) -> str:
     """Return why a variation does not fit a key of the scenario; empty if it does."""
     if key in PLACED:
-        return _unfit_place(scenario, variation)
+        return _unfit_place(scenario, key, variation)
     try:
         rule = known_key(key, scenario.controller.law, scenario.target.count, run="campaign")
     except ValueError as error:
@@ -87,10 +87,13 @@ def unfit_variable(scenario: Scenario, key: str, variable: Variable, vary: Mappi
     return ""
 
 
-def _unfit_place(scenario: Scenario, variation: Variation) -> str:
+def _unfit_place(scenario: Scenario, key: str, variation: Variation) -> str:
     """Return why a variation cannot displace the target of a scenario; empty if it can."""
     if scenario.camera.convention != "eye_in_hand":
         return "expected a scenario with camera.convention eye_in_hand, whose target has points in space"
     if variation.add or variation.symmetric:
         return "expected neither add nor symmetric for a displacement"
+    farthest = np.full(6, np.abs(variation.reach).max())
+    if key == PLACED[1] and (problem := problem_of_turns(farthest)) is not None:
+        return f"{problem}, which it reaches; clip it or narrow it"
     return ""

@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene
@@ -203,12 +204,12 @@ def _ticks(scenario: Scenario) -> Array:
     return np.arange(0.0, scenario.simulation.duration, scenario.simulation.step)
 
 
-def seeds_of_runs(scenario: Scenario) -> Array:
-    """Return the seeds of some runs of a scenario with different noise, (n,)."""
-    return np.asarray(scenario.seed + np.arange(RUNS))
+def seeds_of_runs(scenario: Scenario) -> NDArray[np.uint64]:
+    """Return seeds of runs with different noise, (n,): that of a scenario and the next ones; 0 follows 2^64 - 1."""
+    return np.asarray(np.uint64(scenario.seed) + np.arange(RUNS, dtype=np.uint64))
 
 
-def _run(scenario: Scenario, variations: Mapping[str, Array]) -> BatchResult:
+def _run(scenario: Scenario, variations: Mapping[str, NDArray[Any]]) -> BatchResult:
     return whole(simulate_batch(scenario, variations, log="trajectory", metrics=()))
 
 
