@@ -297,16 +297,18 @@ def _of_duration(scenario: Scenario) -> Iterator[str]:
     consequences = {
         "camera.latency": "no image arrives in the run",
         "camera.period": "the image exposed at the start is the only one of the run",
+        "actuators.delay": "no command arrives in the run",
         "metrics.dwell": "no run that starts outside metrics.band settles",
         "metrics.rms_start": "the RMS error is averaged over nothing",
     }
     duration = scenario.simulation.duration
     for key, consequence in consequences.items():
         time = value_at(scenario, key)
+        at_end = key == "metrics.rms_start" and time == duration
         if time is not None and time >= duration:
             yield (
                 f"{key}: {quantity(time, 's')} is not shorter than simulation.duration, {quantity(duration, 's')}, so "
-                f"that {consequence}"
+                f"that {'the RMS error is that of the last sample' if at_end else consequence}"
             )
     steps = round(duration / scenario.simulation.step)
     if scenario.robot.limits_every > steps:
