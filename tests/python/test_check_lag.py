@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import hexservo as hs
-from hexservo.findings.analysis.loop_of_scenario import quiet
+from hexservo.findings.analysis.loop_of_scenario import loop_at_rest, quiet
 from hexservo.findings.analysis.scene import ALL_AXES, scene_of
 from hexservo.findings.check import unlikely
 from hexservo.findings.check_lag import of_lag
@@ -28,18 +28,18 @@ def changed(changes: dict[str, Any]) -> hs.Scenario:
 
 
 def growth(scenario: hs.Scenario, duration: float) -> float:
-    """From home, with a goal 1e-5 px away and without K_v: the last third of the run to the one before."""
+    """Return the motion in the last third of a run to that in the one before, from home with a goal 1e-5 px away."""
     if hasattr(scenario.controller.gains, "kv"):
         scenario = scenario.updated({f"controller.{scenario.controller.law}.kv": 0.0})
     calm = quiet(scenario)
     scene = scene_of(calm)
     goal = scene.view(scene.home).after(ALL_AXES * scene.unit, 1e-5)
-    result = hs.simulate(
-        calm.updated(
-            {"target.desired_features": goal.tolist(), "simulation.duration": duration, "simulation.step": 1e-3}
-        )
-    )
-    size = np.linalg.norm(result.twist * np.repeat([1.0, scene.platform_radius], 3), axis=1)
+    return growing(calm.updated({"target.desired_features": goal.tolist()}), duration)
+
+
+def growing(scenario: hs.Scenario, duration: float) -> float:
+    result = hs.simulate(scenario.updated({"simulation.duration": duration, "simulation.log_every": 1}))
+    size = np.linalg.norm(result.twist * np.repeat([1.0, scene_of(scenario).platform_radius], 3), axis=1)
     thirds = np.array_split(size, 3)
     return float(thirds[2].max() / thirds[1].max())
 
@@ -58,6 +58,22 @@ def test_small_runs_decay_from_the_stated_bandwidth_on_and_grow_below_it(changes
     assert beyond < 0.9
     assert below > 1.1
     assert not sentences(changed({**changes, BANDWIDTH: least}))
+
+
+def test_a_loop_that_the_lag_makes_oscillate_at_the_goal_alone_is_named() -> None:
+    """At home the mode decays with 2 Hz, at the goal, where the weight is on other cranks, it grows."""
+    exact = {"robot.centre_of_mass": [0, 0, 0], "robot.inertia": [9e-4, 9e-4, 7e-4], "uncertainty.gravity": 0.0}
+    head = hs.load_scenario("reachy-mini-head").updated({**exact, "sensors": {"pose": "true"}, BANDWIDTH: 2.0})
+    (sentence,) = sentences(head)
+    found = re.search(r"stable from ([\d.]+) Hz on", sentence)
+    assert found is not None, sentence
+    rest = loop_at_rest(head).rest.view.pose.displacement_from(scene_of(head).home)
+    start = rest + 1e-7 * np.array([1.0, -1.0, 1.0, 20.0, -20.0, 20.0])
+    calm = quiet(head).updated({"simulation.start.pose": start.tolist()})
+    below, beyond = (growing(calm.updated({BANDWIDTH: share * float(found[1])}), 6.0) for share in (0.85, 1.15))
+    print(sentence, below, beyond)
+    assert beyond < 0.9
+    assert below > 1.1
 
 
 def test_small_runs_decay_up_to_the_stated_delay_and_grow_beyond_it() -> None:
