@@ -52,6 +52,20 @@ TEST_CASE("with everything off the wrench passes bit for bit") {
   }
 }
 
+TEST_CASE("before the first command arrives drives hold the platform with what they have, and lag from there on") {
+  const Place at = place();
+  const double limit = 0.1, bandwidth = 10.0;  // of the 0.13 N of `kResting`
+  Actuators<double> actuators({{.saturation = true, .bandwidth = bandwidth}, 2}, limit, kTick, kResting);
+  double level = -limit;
+  for (int tick = 0; tick < 20; ++tick) {
+    const double arrived = tick < 2 ? -limit : 0.0, ticks = 6.283185307179586 * bandwidth * kTick;
+    const double mean = arrived + (level - arrived) * -std::expm1(-ticks) / ticks;
+    const Actuation<double> out = actuators.step(Vector6<double>::Zero(), Vector6<double>::Zero(), at.legs);
+    CHECK(distance(out.leg_forces, Vector6<double>::Constant(mean)) <= 1e-15);
+    level = arrived + (level - arrived) * std::exp(-ticks);
+  }
+}
+
 TEST_CASE("holding leg forces, they and their wrench belong together") {
   Random random(7502);
   CAPTURE(random.seed());

@@ -173,6 +173,51 @@ TEST_CASE("saturated leg forces stay within the limit, and the weights wait") {
   CHECK(falling->record().sample().twist(2) > 0.01);  // it sinks
 }
 
+TEST_CASE("the wrench of motors is the mean of a tick, and moves the platform; leg forces are those after a command") {
+  Random random(7703);
+  CAPTURE(random.seed());
+  for (const bool moving : {false, true}) {
+    Settings settings = sampled();
+    settings.actuators.kind = ActuatorKind::position_torque;
+    settings.actuators.motor.kp = 2e4;  // a step of the command is made up for within a tick
+    settings.actuators.motor.kv = 60.0;
+    settings.actuators.motor.friction = 0.02;
+    settings.actuators.motor.armature = 0.01;
+    settings.simulation.substeps = 10;
+    settings.robot.force_limit = 5.0;
+    if (moving) {
+      settings.base_motion.kind = BaseMotionKind::sinusoid;
+      settings.base_motion.amplitude << 0.5, -0.3, 0.4;
+    }
+    Driven driven(settings);
+    Vector6<double> wanted = driven.plant.plant().leg_positions();
+    const Vector6<double> home = wanted;
+    double gross = 0.0, crest = 0.0;
+    for (int tick = 0; tick < 30; ++tick) {
+      wanted = home + random.six(1e-4, 1e-4);
+      driven.plant.position(wanted);
+      const Sample<double> before = driven.sample();
+      const Vector6<double> given = settings.actuators.motor.kp * (wanted - before.leg_lengths) -
+                                    settings.actuators.motor.kv * driven.legs().rates(before.twist);
+      CHECK(distance(before.leg_forces, given) <= 1e-9);
+      const double time = driven.plant.plant().time();
+      REQUIRE(driven.plant.advance());
+      const Vector6<double> after = driven.plant.observe().twist;
+      const Matrix3<double> R_BE = rotation_matrix(before.quaternion);
+      const RigidBody<double>& body = driven.parameters.body;
+      Vector6<double> needed = mass_matrix(body, R_BE) * (after - before.twist) / kTick +
+                               coriolis_matrix(body, R_BE, before.twist) * before.twist + gravity_wrench(body, R_BE);
+      if (moving)
+        needed.head<3>() +=
+            body.mass * settings.base_motion.amplitude * std::sin(kTwoPi * settings.base_motion.frequency * time);
+      CHECK(distance(before.wrench, needed) <= 1e-9);
+      gross = std::max(gross, (before.wrench - gravity_wrench(body)).norm());
+      crest = std::max(crest, (driven.legs().wrench(before.leg_forces) - gravity_wrench(body)).norm());
+    }
+    CHECK(crest > 2.0 * gross);
+  }
+}
+
 TEST_CASE("a leg beyond its stroke ends the run if so configured, with the leg and the time that are reported") {
   Settings settings = sampled();
   const Vector6<double> push = (Vector6<double>() << 0.1, 0.05, 0.02, 0.0, 0.0, 0.0).finished();

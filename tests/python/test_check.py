@@ -157,9 +157,32 @@ def test_times_that_the_run_is_too_short_for(key: str, words: str) -> None:
     place = ("camera.latency", "camera.period", "metrics.dwell", "metrics.rms_start").index(key)
     for time, happens in ((2.0, True), (33.0, True), (1.5, False)):
         found = [line for line in unlikely(scenario.updated({key: time})) if "simulation.duration" in line]
-        assert found == [f"{key}: {time:g} s is not shorter than simulation.duration, 2 s, so that {words}"] * happens
+        ends = time == 2.0 and key == "metrics.rms_start"  # the last sample is the first that counts
+        then = "the RMS error is that of the last sample" if ends else words
+        assert found == [f"{key}: {time:g} s is not shorter than simulation.duration, 2 s, so that {then}"] * happens
         if time != 2.0:
             assert seen({key: time})[place] == happens
+
+
+def test_an_rms_error_from_the_end_on_is_that_of_the_last_sample() -> None:
+    scenario = hs.load_scenario("paper").updated({"simulation.duration": 2.0, "metrics.rms_start": 2.0})
+    run = hs.simulate(scenario)
+    assert hs.metrics(run)["rms_error"] == pytest.approx(np.sqrt(np.mean(run.feature_error[-1] ** 2)), rel=1e-12)
+
+
+@pytest.mark.parametrize("name", ["composite-30hz", "pi-h824-positions"])
+def test_drives_that_no_command_reaches_in_the_run(name: str) -> None:
+    """Six periods of delay: in a run of so many the platform is held where it starts, in one of twelve it is not."""
+    scenario = hs.load_scenario(name)
+    tick = scenario.simulation.step
+    late = {"actuators.delay": 6 * tick, "camera.latency": 0.0, "uncertainty.gravity": 0.0, "simulation.log_every": 1}
+    for ticks, moves in ((6, False), (12, True)):
+        short = scenario.updated({**late, "simulation.duration": ticks * tick})
+        named = [line for line in unlikely(short) if line.startswith("actuators.delay") and "duration" in line]
+        assert len(named) == (not moves)
+        assert all(line.endswith("so that no command arrives in the run") for line in named)
+        travel = np.abs(np.diff(hs.simulate(short).leg_lengths, axis=0)).max()
+        assert (travel > 1e-9) == moves, travel
 
 
 def test_frames_that_are_all_lost() -> None:

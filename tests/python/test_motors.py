@@ -14,6 +14,7 @@ import hexservo as hs
 import rotary_machine
 from hexservo import _core
 from hexservo.bridges.mujoco_model import mjcf
+from hexservo.findings.analysis.scene import scene_of
 from hexservo.run import variant
 from hexservo.run.export import gains_header
 from hexservo.scenario.laws import LAWS
@@ -151,6 +152,37 @@ def test_motors_and_platform_move_as_mujoco_s(paper: hs.Scenario, case: str, mac
         assert (np.abs(run.leg_forces) >= limit * (1 - 1e-12)).mean() > 2e-3
     if "friction" in case:
         assert held > 0.1
+
+
+@pytest.mark.parametrize("machine", ["prismatic", "rotary"])
+def test_the_wrench_of_a_tick_moves_the_platform_as_the_run_does(paper: hs.Scenario, machine: str) -> None:
+    """To rounding: it is that of the mean acceleration, and so is the effort; just after a command there is more."""
+    changes = {
+        **FAST,
+        "controller__law": "resolved_rate",
+        "simulation__duration": 0.3,
+        "simulation__substeps": 4,
+        "uncertainty": {"inertia": 0.05, "coriolis": -0.1, "gravity": 0.03},
+        "base_motion": {"kind": "sinusoid", "amplitude": [0.3, -0.2, 0.4], "frequency": 4.0},
+    }
+    motor = {"kp": 2e4, "kv": 60.0, "armature": 0.01, "friction": 0.02}
+    scenario = on_motors(paper, motor, **changes) if machine == "prismatic" else rotary(motor, **changes)
+    run = hs.simulate(scenario)
+    settings, tick = core_parameters(scenario), scenario.simulation.step
+    probe = _core.Probe(settings)
+    place = (run.position, run.quaternion, run.twist)
+    acting = probe.acceleration(*place, run.wrench + probe.base_wrench(run.time, *place))
+    moved = np.diff(run.twist, axis=0) / tick
+    np.testing.assert_allclose(acting[:-1], moved, rtol=0, atol=1e-9 * np.abs(moved).max())
+
+    legs, radius = _core.Hexapod(settings.robot), scene_of(scenario).platform_radius
+    weight = np.array([settings.body.weight(quaternion) for quaternion in run.quaternion])
+    given = np.array(
+        [legs.wrench_map(*pose) @ forces for *pose, forces in zip(*place[:2], run.leg_forces, strict=True)]
+    )
+    beyond, crest = ((wrench - weight) / np.repeat([1.0, radius], 3) for wrench in (run.wrench, given))
+    assert hs.metrics(run)["effort"] == pytest.approx(tick * (beyond[:-1] ** 2).sum(), rel=1e-9)
+    assert tick * (crest[:-1] ** 2).sum() > 1.2 * hs.metrics(run)["effort"]
 
 
 @pytest.mark.usefixtures("baseline")

@@ -337,12 +337,15 @@ def test_the_weight_is_a_line_along_each_axis_that_has_a_part_of_it(gravity: lis
     assert "limit" in [text.get_text() for axes in figure.axes for text in axes.texts]
 
 
-def test_machines_that_take_positions_have_no_wrench_of_a_law() -> None:
-    result = hs.simulate(hs.load_scenario("reachy-mini").updated({"simulation.duration": 0.1}))
+@pytest.mark.parametrize(
+    ("name", "what"), [("reachy-mini", "What the motion takes"), ("reachy-mini-motors", "What the legs give")]
+)
+def test_machines_that_take_positions_have_no_wrench_of_a_law(name: str, what: str) -> None:
+    result = hs.simulate(hs.load_scenario(name).updated({"simulation.duration": 0.1}))
     figure = control_wrench(result)
     assert_texts_can_be_read(figure)
     assert [text.get_text() for text in figure.texts] == [
-        "What the motion takes: the wrench as the mean of each tick, leg forces just after its command"
+        f"{what}: the wrench as the mean of each tick, leg forces just after its command"
     ]
 
 

@@ -4,7 +4,7 @@
 ///
 ///     f = H^-1 tau          leg forces, H at the controller's pose
 ///     f <- nearest multiple of the quantisation, then clip(f, -limit, limit)
-///     f <- the f of `delay` ticks before; before the first one the forces that hold the platform at rest
+///     f <- the f of `delay` ticks before; before the first one the forces that hold the platform at rest, clipped too
 ///     f <- mean over the tick of the output of a first-order lag: y-dot = 2 pi bandwidth (f - y)
 ///     hold wrench: H f with H at the tick acts until the next tick; hold leg forces: f acts, through H as it changes
 ///
@@ -170,8 +170,8 @@ class Actuators {
         limit_(parameters.saturation ? force_limit : S(std::numeric_limits<double>::infinity())),
         unchanged_((parameters.quantisation <= S(0.0)) &
                    (parameters.bandwidth == S(std::numeric_limits<double>::infinity()))),
-        filtered_(resting_forces),
-        commands_(parameters.delay, resting_forces) {
+        filtered_(clipped(resting_forces)),
+        commands_(parameters.delay, filtered_) {
     const S ticks = S(6.283185307179586 * tick) * p_.bandwidth;  // over the time constant
     const S reached = -expm1_of_negative(max(S(-ticks), S(-700.0)));
     remaining_ = S(1.0) - reached;
@@ -207,6 +207,11 @@ class Actuators {
   }
 
  private:
+  Vector6<S> clipped(Vector6<S> forces) const noexcept {
+    for (int i = 0; i < 6; ++i) forces(i) = clip(forces(i), S(-limit_), limit_);
+    return forces;
+  }
+
   ActuatorParameters<S> p_;
   S limit_;            ///< [N]
   Mask<S> unchanged_;  ///< where neither quantisation nor lag act

@@ -89,7 +89,8 @@ class SampledPlant {
     record_.accept(time(), state_, lengths, singular, wrench_, leg_forces_, fuzzy_output, seen.unsensed);
   }
 
-  /// Takes the controller's command to legs whose drives take positions.
+  /// Takes the controller's command to legs whose drives take positions. A command is a step: the wrench of the record
+  /// is the mean of the tick, leg forces are those just after it.
   /// @param positions q* [m], or [rad]
   [[gnu::noinline, gnu::cold]] void position(const Vector6<S>& positions, const Command<S>& command,
                                              const Perceived<S, N>& seen, const Vector6<S>& fuzzy_output) noexcept {
@@ -104,10 +105,12 @@ class SampledPlant {
     const Vector6<S> twist = twist_of(state_.body);
     const Vector6<S> base = base_wrench(time(), state_.body, state_.view.R_BE);
     if (motors_) {
-      const Vector6<S> acceleration = motors_->acceleration(state_.body, free_dynamics(time(), state_.body));
-      wrench_ = world_.needed_wrench(state_.body, state_.view.R_BE, acceleration) - base;
       leg_forces_ = motors_->torques(legs.lengths, legs.rates(twist));
-    } else {  // a command is a step: the wrench is the mean of the tick, the leg forces are those just after it
+      const Vector6<S> at_once = motors_->acceleration(state_.body, free_dynamics(time(), state_.body));
+      drive_legs();
+      const Vector6<S> mean = (twist_of(driven_.body) - twist) / S(period_);
+      wrench_ = world_.needed_wrench(state_.body, state_.view.R_BE, select(is_finite(mean), mean, at_once)) - base;
+    } else {
       const Vector6<S> bias = leg_bias(leg_geometry_, legs, p_BE, twist);
       const auto needed = [&](const Vector6<S>& leg_accelerations) -> Vector6<S> {
         const Vector6<S> acceleration = solver.twist(leg_accelerations - bias);
@@ -131,8 +134,10 @@ class SampledPlant {
   Mask<S> advance() noexcept {
     if (positioned_) [[unlikely]]
       return follow_legs();
-    if (motors_) [[unlikely]]
-      return drive_legs();
+    if (motors_) [[unlikely]] {  // `position` has driven them
+      end_tick(driven_, nearest_);
+      return record_.running();
+    }
     const double h = period_ / static_cast<double>(substeps_);
     WorldState<S, N> next = state_;
     S nearest = -S(std::numeric_limits<double>::infinity());
@@ -206,21 +211,19 @@ class SampledPlant {
     return record_.running();
   }
 
-  /// To the next tick on legs whose motors take positions.
-  [[gnu::noinline, gnu::cold]] Mask<S> drive_legs() noexcept {
+  /// Moves the platform to the next tick on legs whose motors take positions: to where `advance` goes on.
+  void drive_legs() noexcept {
     const double h = period_ / static_cast<double>(substeps_);
-    WorldState<S, N> next = state_;
-    S nearest = -S(std::numeric_limits<double>::infinity());
+    driven_ = state_;
+    nearest_ = -S(std::numeric_limits<double>::infinity());
     for (long long step = 0; step < substeps_; ++step) {
-      const double start = static_cast<double>(ticks_) * period_ + static_cast<double>(step) * h;
-      BodyMotion<S> body = next.body;
+      const double start = time() + static_cast<double>(step) * h;
+      BodyMotion<S> body = driven_.body;
       motors_->advance(body, [&](double later, const BodyMotion<S>& at) { return free_dynamics(start + later, at); });
       if (target_moves_) place_target(start + h);
-      next = world_.seen_from(body);
-      nearest = max(nearest, nearest_depth(next.view.image));
+      driven_ = world_.seen_from(body);
+      nearest_ = max(nearest_, nearest_depth(driven_.view.image));
     }
-    end_tick(next, nearest);
-    return record_.running();
   }
 
   /// The platform without its legs.
@@ -288,6 +291,8 @@ class SampledPlant {
   std::optional<Actuators<S>> actuators_;        ///< where they do anything
   std::optional<PositionedLegs<S>> positioned_;  ///< where they take positions
   std::optional<MotorLegs<S>> motors_;           ///< where motors do
+  WorldState<S, N> driven_;                      ///< at the next tick, where these have moved the platform
+  S nearest_;                                    ///< largest Z_i on the way there [m]
   Frames<S, N> frames_;
   LoopRecord<S, N> record_;
   SensorInput<S, N> sensed_;

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-_OF_POSITIONS = "What the motion takes: the wrench as the mean of each tick, leg forces just after its command"
+_SHOWN = "the wrench as the mean of each tick, leg forces just after its command"
+_OF_POSITIONS = {"position": f"What the motion takes: {_SHOWN}", "position_torque": f"What the legs give: {_SHOWN}"}
 
 
 @overload
@@ -75,7 +76,7 @@ def control_wrench(result: Result, *, axes: Sequence[Axes] | NDArray[Any] | None
         explained[limit] = Line2D([], [], color=BLACK, linestyle=":")
     if explained:
         draw_legend(figure, explained)
-    if result.scenario.actuators.kind == "position":
-        figure.text(0.01, 0.985, _OF_POSITIONS, fontsize=7, va="top", color=GREY)
+    if result.scenario.actuators.takes_positions:
+        figure.text(0.01, 0.985, _OF_POSITIONS[result.scenario.actuators.kind], fontsize=7, va="top", color=GREY)
     boxes = [*((0.68, bottom, 2.4, 1.1) for bottom in (3.16, 1.82, 0.48)), (4.2, 0.48, 2.5, 3.78)]
     return draw_over_time(figure, result, shown, boxes, axes, mean)

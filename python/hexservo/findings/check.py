@@ -22,6 +22,7 @@ from hexservo.findings.check_gate import of_gate
 from hexservo.findings.check_hold import of_hold
 from hexservo.findings.check_joints import of_joints
 from hexservo.findings.check_keys import keys_without_effect
+from hexservo.findings.check_lag import of_lag
 from hexservo.findings.check_machine import of_machine
 from hexservo.findings.check_motion import of_motion
 from hexservo.findings.check_observability import of_observability
@@ -65,10 +66,11 @@ def unlikely(scenario: Scenario, *, by_law: bool = True) -> list[str]:
     with each other, duration and weight (`of_positions`), the servo period in sampled mode, or the step of the
     integration in continuous mode, with the loop of the gains, linearised at home with the switching term as in
     `linear_law`; gains with what the run needs (`of_slow`), what legs stop with (`of_overshoot`), duration, servo
-    rate, delays, forces and noise (`of_gains`); drive and adaptation of fuzzy systems with the linear loop
-    (`of_adaptation`), the filter of `tracking` with the target's motion (`of_tracking`), what runs that begin at the
-    goal leave of it, before a target at rest and before one that moves (`of_hold`), what encoders read with the image
-    and the fuzzy inputs (`of_joints`). Gains with which numbers of that loop overflow have a sentence that names it.
+    rate, delays, forces and noise (`of_gains`); delay and lag of drives of forces, and drive and adaptation of fuzzy
+    systems, with the linear loop (`of_lag`, `of_adaptation`), the filter of `tracking` with the target's motion
+    (`of_tracking`), what runs that begin at the goal leave of it, before a target at rest and before one that moves
+    (`of_hold`), what encoders read with the image and the fuzzy inputs (`of_joints`). Gains with which numbers of that
+    loop overflow have a sentence that names it.
     Simulates how the goal is kept and how a target in motion is followed, in a second or some.
 
     Parameters
@@ -87,7 +89,8 @@ def unlikely(scenario: Scenario, *, by_law: bool = True) -> list[str]:
         sentences += evaluated(check, scene)
     for of_scenario in (_of_image, _of_principal_point, _of_duration, _of_dropout, of_motion, _of_unknown_latency):
         sentences += evaluated(of_scenario, scenario)
-    for of_law in (_of_rates, of_adaptation, of_straight_way, of_tracking, of_hold, of_joints) if by_law else ():
+    laws = (_of_rates, of_lag, of_adaptation, of_straight_way, of_tracking, of_hold, of_joints)
+    for of_law in laws if by_law else ():
         sentences += evaluated(of_law, scene)
     return sentences
 
@@ -294,16 +297,18 @@ def _of_duration(scenario: Scenario) -> Iterator[str]:
     consequences = {
         "camera.latency": "no image arrives in the run",
         "camera.period": "the image exposed at the start is the only one of the run",
+        "actuators.delay": "no command arrives in the run",
         "metrics.dwell": "no run that starts outside metrics.band settles",
         "metrics.rms_start": "the RMS error is averaged over nothing",
     }
     duration = scenario.simulation.duration
     for key, consequence in consequences.items():
         time = value_at(scenario, key)
+        at_end = key == "metrics.rms_start" and time == duration
         if time is not None and time >= duration:
             yield (
                 f"{key}: {quantity(time, 's')} is not shorter than simulation.duration, {quantity(duration, 's')}, so "
-                f"that {consequence}"
+                f"that {'the RMS error is that of the last sample' if at_end else consequence}"
             )
     steps = round(duration / scenario.simulation.step)
     if scenario.robot.limits_every > steps:

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from hexservo.findings.analysis.linear_loop import BORDER, Clock, SampledLoop
 from hexservo.findings.analysis.loop_of_scenario import NotApplicableError, clock_of, loop_at_home
 from hexservo.findings.analysis.scene import Scene
 from hexservo.findings.bisection import last_that_holds
-from hexservo.findings.home_loop import adapting_matrix
+from hexservo.findings.check_lag import is_late
+from hexservo.findings.home_loop import oscillates
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.laws import laws_with
 from hexservo.scenario.wording import below, number
@@ -38,20 +38,20 @@ def of_adaptation(scene: Scene) -> Iterator[str]:
     if not loop.axes or (not continuous and clock.latency // clock.period > loop.few):
         return
 
-    def oscillates(drive: float, adaptation: float = 1.0) -> bool:
+    def unstable(drive: float, adaptation: float = 1.0) -> bool:
         proportional = {
             name: drive * adaptation * getattr(loop, name) for name in ("drive_frame", "drive_pose")
         }  # to the pose error
         changed = replace(loop, **proportional, drive_twist=adaptation * loop.drive_twist)
-        return _oscillates(changed, None if continuous else clock)
+        return oscillates(changed, None if continuous else clock)
 
-    if not oscillates(1.0) or oscillates(_LEAST, _LEAST):
+    if not unstable(1.0) or unstable(_LEAST, _LEAST) or (not continuous and is_late(loop, clock)):
         return
     key = f"controller.{law}"
     without = "where kv does not hold it" if np.any(scenario.controller.gains.kv) else "about rest"
     fits = f"{key}.auto.bandwidth fits one"
-    if not oscillates(_LEAST):
-        factor = last_that_holds(lambda drive: not oscillates(drive), _LEAST, 1.0, _HALVINGS, logarithmic=True)
+    if not unstable(_LEAST):
+        factor = last_that_holds(lambda drive: not unstable(drive), _LEAST, 1.0, _HALVINGS, logarithmic=True)
         drive = np.unique(factor * np.asarray(value_at(scenario, f"{key}.drive"), dtype=float))
         value = f", {below(float(drive[0]))} 1/s" if len(drive) == 1 else ""
         own = f"{number(float(np.max(value_at(scenario, f'{key}.drive'))))} 1/s"
@@ -60,24 +60,9 @@ def of_adaptation(scene: Scene) -> Iterator[str]:
             f"fuzzy systems integrate too fast; it is stable with up to {below(factor)} times this drive{value}; {fits}"
         )
         return
-    factor = last_that_holds(
-        lambda adaptation: not oscillates(1.0, adaptation), _LEAST, 1.0, _HALVINGS, logarithmic=True
-    )
+    factor = last_that_holds(lambda adaptation: not unstable(1.0, adaptation), _LEAST, 1.0, _HALVINGS, logarithmic=True)
     yield (
         f"{key}.fuzzy.adaptation: with this adaptation the linear loop oscillates {without}, since the fuzzy systems "
         f"learn too fast; it is stable from {number(1.0 / factor)} times these values on, with which they learn more "
         f"slowly; {fits}"
     )
-
-
-def _oscillates(loop: SampledLoop, clock: Clock | None) -> bool:
-    """Return whether a mode of a loop grows that is no drift (real, and positive); without a clock, in no ticks."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        if clock is None:
-            exponents = np.linalg.eigvals(adapting_matrix(loop, loop.acceleration, loop.tick))
-            return bool(((exponents.real > (BORDER - 1.0) / loop.tick) & (np.abs(exponents.imag) > 0.0)).any())
-        try:
-            values = loop.multipliers(clock)
-        except np.linalg.LinAlgError:  # numbers overflow
-            return True
-    return bool(((np.abs(values) > BORDER) & ((np.abs(values.imag) > 1e-9) | (values.real < 0.0))).any())

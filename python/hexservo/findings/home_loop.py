@@ -9,7 +9,7 @@ import numpy as np
 
 from hexservo.findings.analysis.drift_rates import exponential
 from hexservo.findings.analysis.linear_law import LinearLaw, NotFiniteError, linear_law, linear_plant
-from hexservo.findings.analysis.linear_loop import SampledLoop
+from hexservo.findings.analysis.linear_loop import BORDER, Clock, SampledLoop
 from hexservo.findings.analysis.loop_of_scenario import quiet, rates_without_mass
 from hexservo.findings.analysis.scene import Scene, scene_of
 from hexservo.findings.check_keys import has_slope
@@ -145,3 +145,16 @@ def adapting_matrix(law: LinearLaw | SampledLoop, push: Array, tick: float) -> A
     outputs = np.vstack([np.zeros((6, len(axes))), -push[:, axes]])
     driven = np.hstack([law.drive_frame[:, :6] + law.drive_pose, law.drive_twist]) / tick
     return np.block([[motion, outputs], [driven, np.diag((law.decay - 1.0) / tick)]])
+
+
+def oscillates(loop: SampledLoop, clock: Clock | None) -> bool:
+    """Return whether a mode of a loop grows that is no drift (real, and positive); without a clock, in no ticks."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        if clock is None:
+            exponents = np.linalg.eigvals(adapting_matrix(loop, loop.acceleration, loop.tick))
+            return bool(((exponents.real > (BORDER - 1.0) / loop.tick) & (np.abs(exponents.imag) > 0.0)).any())
+        try:
+            values = loop.multipliers(clock)
+        except np.linalg.LinAlgError:  # numbers overflow
+            return True
+    return bool(((np.abs(values) > BORDER) & ((np.abs(values.imag) > 1e-9) | (values.real < 0.0))).any())

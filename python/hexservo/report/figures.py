@@ -257,7 +257,7 @@ def _wrench(result: Result) -> list[Html]:
     note = (
         f"Thin lines are samples, thick lines their mean over {mean_period(result.time, count)}." if count > 1 else ""
     )
-    if result.scenario.actuators.kind == "position":
+    if result.scenario.actuators.takes_positions:
         note = f"The wrench is the mean of each tick; leg forces are those just after its command. {note}".rstrip()
     return [_over_time(result, panel, count, note) for panel in wrench_panels(result)]
 

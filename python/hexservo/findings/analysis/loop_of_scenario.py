@@ -319,10 +319,7 @@ def actuation_of(scenario: Scenario, plant: LinearPlant) -> Actuation:
     held = actuators.hold == "leg_forces"
     if not (held or actuators.delay > 0.0 or actuators.bandwidth is not None):
         return Actuation()
-    left = average = 0.0
-    if actuators.bandwidth is not None:
-        ticks = 2.0 * np.pi * actuators.bandwidth * tick  # the tick over the time constant of the lag
-        left, average = float(np.exp(-ticks)), float(-np.expm1(-ticks) / ticks)
+    left, average = lag(actuators.bandwidth, tick)
     return Actuation(
         through_legs=True,
         delay=round(actuators.delay / tick),
@@ -331,6 +328,17 @@ def actuation_of(scenario: Scenario, plant: LinearPlant) -> Actuation:
         stiffness=plant.stiffness,
         held=(plant.held_state, plant.held_force) if held else None,
     )
+
+
+def lag(bandwidth: float | None, tick: float) -> tuple[float, float]:
+    """Return the shares of a difference that a first-order lag leaves after a tick [s], and on its average.
+
+    Of a bandwidth in Hz; None: no lag.
+    """
+    if bandwidth is None:
+        return 0.0, 0.0
+    ticks = 2.0 * np.pi * bandwidth * tick  # the tick over the time constant
+    return float(np.exp(-ticks)), float(-np.expm1(-ticks) / ticks)
 
 
 def proportional_gains(scenario: Scenario) -> tuple[str, ...]:

@@ -87,11 +87,12 @@ def criteria_met(result: Result, record: Record, judgement: Judgement) -> tuple[
     metrics, stroke = result.scenario.metrics, result.scenario.robot.stroke
     unit = leg_units(result.scenario.robot).small
     allowed = stroke / DRIFT_TIME * 1e3
+    drift = f"they drift at {number(record.drift * 1e3, 2)} {unit}/s, where {allowed:.2g} {unit}/s are allowed"
     return (
         f"it is settled, with {number(judgement.error * metrics.band)} px of the band of {number(metrics.band)} px "
         f"in the last {number(metrics.dwell)} s",
         f"the legs use {percent_used(judgement.stroke)} of their stroke of {number(stroke * 1e3, 4)} {unit}",
-        f"they drift at {number(record.drift * 1e3, 2)} {unit}/s, where {allowed:.2g} {unit}/s are allowed",
+        *([drift] if len(result.time) >= FEW else []),
         *(
             f"the largest {use.limit.of_leg} is {percent_used(use.share)} of its limit"
             for use in _uses(result, judgement)
