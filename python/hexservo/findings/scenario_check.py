@@ -65,6 +65,7 @@ class Check:
         """Return a line for each warning and note, and one for a run that settles."""
         lines = [f"Warning: {words}" for words in self.warnings] + [f"Note: {words}" for words in self.notes]
         lines += [f"The run is {self.settled}."] if self.settled else []
+        lines += ["It was not run, since it has more than 200 000 steps."] if self.run is None else []
         return lines_below(f'Check of "{self.scenario.name}"', lines or ["No warnings."], 5)
 
 
