@@ -29,7 +29,7 @@ _SEEDS = 2**64
 
 @dataclass(frozen=True, eq=False)
 class OtherSeeds:
-    """Runs of a scenario, each with a seed of its own in place of the scenario's."""
+    """Runs of a scenario, each with a different seed in place of the scenario's."""
 
     batch: BatchResult  # log "metrics"
 
