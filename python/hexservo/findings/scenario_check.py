@@ -109,7 +109,7 @@ def _doubts_of(run: Result, others: OtherSeeds | None) -> list[str]:
         ]
     found = []
     for kind in dict.fromkeys(event.kind for event in run.events):
-        first, *others = [event for event in run.events if event.kind == kind]
-        more = f", and {len(others)} other{'s' if len(others) > 1 else ''} do so too" if others else ""
+        first, *later = [event for event in run.events if event.kind == kind]
+        more = f", and {len(later)} other{'s' if len(later) > 1 else ''} do so too" if later else ""
         found.append(f"simulation: in the run {first}{more}")
     return found + ([] if others is None else list(others.doubts({event.kind for event in run.events})))
