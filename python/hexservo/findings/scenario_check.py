@@ -72,6 +72,8 @@ class Check:
 def check(scenario: Scenario) -> Check:
     """Check a scenario for settings that are legal and probably not meant; run it, and others near its goal.
 
+    A scenario with noise is run with other seeds too.
+
     Parameters
     ----------
     scenario
