@@ -32,7 +32,6 @@ NEAR_GOAL = "controller.law: runs of {} that begin within 4 px of the goal befor
 
 # What packaged scenarios are built to be, or come near to: the first words of each warning.
 EXPECTED = {
-    "composite-30hz": ["simulation.step: a servo period of 1 ms is coarser than a tenth of the gains'"],
     # whose outliers and lost frames let a point go for a while
     "dropouts": ["metrics.band: runs of composite that begin at the goal before a target at rest leave the band"],
     "fails-coarse-step": [
@@ -47,8 +46,6 @@ EXPECTED = {
         "controller.resolved_rate: the law needs 37.8 N of leg 3 at the start (375 mN, and 37.4 N for three",
         f"{NEAR_GOAL.format('resolved_rate')} are not settled",
     ],
-    # whose gain is that of the package
-    "fails-face-tracking": ["simulation.step: a servo period of 20 ms is coarser"],
     # whose load, high above the joints, couples the axes
     "moog-6dof2000e": ["controller.composite.auto.bandwidth: 0.8 Hz is fitted axis by axis, but the inertia couples"],
     "fails-leg-limits": ["target.desired_features: the goal is out of reach: leg 5 would be"],

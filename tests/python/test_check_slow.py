@@ -205,3 +205,16 @@ def test_an_adaptation_whose_inputs_saturate_is_not_judged_by_the_linear_loop() 
     slow_drive = scenario.updated({DRIVE: (0.03 * np.asarray(scenario.controller.gains.drive)).tolist()})
     assert adaptation(slow_drive) == []
     assert hs.metrics(hs.simulate(slow_drive))["settling_time"] < 0.1
+
+
+def test_a_slow_part_of_the_image_error_matters_beside_the_band() -> None:
+    """4.5 of 46 px are slow with `kelly`: a band that has room for them is reached as fast as the bandwidth has it."""
+    bandwidth = 2.0
+    kelly = {"controller.law": "kelly", "controller.kelly": {"auto": {"bandwidth": bandwidth}}}
+    scenario = hs.load_scenario("pi-h824", {**kelly, "simulation.duration": 20.0})
+    for band, slow in ((2.0, True), (12.0, False)):
+        wide = scenario.updated({"metrics.band": band})
+        found = [words for words in unlikely(wide) if "of the features' common motion" in words]
+        periods = bandwidth * hs.metrics(hs.simulate(wide))["settling_time"]
+        assert (len(found) == 1) == slow
+        assert periods > 10.0 if slow else periods < 1.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 import hexservo as hs
 from hexservo.findings.analysis.scene import scene_of
-from hexservo.findings.check import unlikely
+from hexservo.findings.check import notes, unlikely
 from hexservo.findings.gate_width import moved_between_frames, noise_at_gate, rejected_share
 from hexservo.scenario.motion import TargetMotion, displacements_of
 
@@ -91,18 +92,19 @@ def test_diagnose_offers_a_gate_against_outliers(machine: hs.Scenario) -> None:
     assert first.remedy.works
 
 
-def test_a_gate_without_timeout_or_that_the_target_exceeds_is_noted(machine: hs.Scenario) -> None:
-    def notes(changes: dict[str, Any]) -> list[str]:
-        found = unlikely(machine.updated({"camera.gate": 2.0, "camera.timeout": 0.5, **changes}))
+def test_a_gate_that_the_target_exceeds_is_warned_of_and_one_without_timeout_noted(machine: hs.Scenario) -> None:
+    def of_gate(find: Callable[[hs.Scenario], list[str]], changes: dict[str, Any]) -> list[str]:
+        found = find(machine.updated({"camera.gate": 2.0, "camera.timeout": 0.5, **changes}))
         return [sentence for sentence in found if sentence.startswith("camera.gate")]
 
-    assert notes({}) == []
-    (note,) = notes({"camera.timeout": None})
+    assert of_gate(unlikely, {}) == of_gate(notes, {}) == []
+    (note,) = of_gate(notes, {"camera.timeout": None})
     assert "never found again without camera.timeout" in note
+    assert of_gate(unlikely, {"camera.timeout": None}) == []  # its run settles
     motion = {"target.motion.kind": "velocity", "target.motion.velocity": [0.5, 0.0, 0.0]}
-    (note,) = notes(motion)
-    assert "2 px is less than the" in note
-    assert notes({**motion, "camera.gate": 100.0}) == []
+    (warning,) = of_gate(unlikely, motion)
+    assert "2 px is less than the" in warning
+    assert of_gate(unlikely, {**motion, "camera.gate": 100.0}) == []
 
 
 def test_the_gate_acts_on_what_a_custom_controller_sees(machine: hs.Scenario) -> None:

@@ -84,7 +84,7 @@ def test_a_period_of_a_sampled_scenario_is_judged_like_its_step() -> None:
     assert of_period(scenario) == []
     (note,) = of_period(scenario, 0.034)
     assert note == (
-        "the servo period of 34 ms is coarser than a tenth of the gains' shortest time constant, 28 ms; run the "
+        "the servo period of 34 ms is coarser than a fifth of the gains' shortest time constant, 28 ms; run the "
         "scenario with simulation.step=0.034 and simulation.duration=15.028 before a robot"
     )
     changed = scenario.updated({"simulation.step": 0.034, "simulation.duration": 15.028})

@@ -137,7 +137,7 @@ def check(
     what one image and the prior of a law leave of the pose, and name a brake that is unstable or needs more than the
     legs have.
     The scenario is run as well, unless it has more than 200 000 steps: a run that ends early, does not settle, or
-    exceeds limits of the legs is a warning.
+    exceeds limits of the legs is a warning. One with noise is run with up to 58 other seeds too.
     """
     with errors_as_messages():
         if json is not None:
@@ -153,9 +153,10 @@ def check(
             simulation = chosen.simulation
             name = "standard input" if scenario == "-" else scenario
             settled = found.settled and f"; its run is {found.settled}"
+            unrun = "" if found.run is not None else "; it was not run, since it has more than 200 000 steps"
             write(
                 f'{name}: valid (scenario "{chosen.name}", {simulation.duration:.6g} s in steps of '
-                f"{simulation.step * 1e3:.6g} ms){settled}\n"
+                f"{simulation.step * 1e3:.6g} ms){settled}{unrun}\n"
             )
         if strict and found.warnings:
             raise typer.Exit(BAD_INPUT)

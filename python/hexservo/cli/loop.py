@@ -199,7 +199,7 @@ def _document(
 
 
 def _coarsest_period(scenario: hs.Scenario) -> float:
-    """Return the longest servo period [s] of which `hexservo check` does not warn; infinite where none is known."""
+    """Return the longest servo period [s] of which `hexservo check` warns with no law; infinite where none is known."""
     from hexservo.findings.check import known_rate
     from hexservo.findings.check_period import coarsest_period
 

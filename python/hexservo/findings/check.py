@@ -18,7 +18,7 @@ from hexservo.findings.check_adaptation import of_adaptation
 from hexservo.findings.check_base import of_base, of_drift
 from hexservo.findings.check_brake import of_brake
 from hexservo.findings.check_gains import of_gains
-from hexservo.findings.check_gate import of_gate
+from hexservo.findings.check_gate import of_gate, of_gate_without_timeout
 from hexservo.findings.check_hold import of_hold
 from hexservo.findings.check_joints import of_joints
 from hexservo.findings.check_keys import keys_without_effect
@@ -98,11 +98,12 @@ def unlikely(scenario: Scenario, *, by_law: bool = True) -> list[str]:
 def notes(scenario: Scenario) -> list[str]:
     """Return a sentence for each key without effect, on what an image and a prior leave of the pose, drift and brake.
 
-    They are those of `of_observability`, `of_prior`, `of_drift` and `of_brake`. The brake (which simulates) acts in a
-    run that has a timeout of the camera; on a robot it acts in any case, and `robot_notes` has its sentence.
+    They are those of `of_observability`, `of_prior`, `of_drift` and `of_brake`; a gate without timeout is a note too.
+    The brake (which simulates) acts in a run that has a timeout of the camera; on a robot it acts in any case, and
+    `robot_notes` has its sentence.
     """
     scene = scene_of(scenario)
-    found = keys_without_effect(scenario)
+    found = [*keys_without_effect(scenario), *of_gate_without_timeout(scenario)]
     for check in (of_observability, of_prior, of_drift):
         found += evaluated(check, scene)
     brakes = scenario.sampled and scenario.camera.timeout is not None

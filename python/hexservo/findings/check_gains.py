@@ -31,6 +31,7 @@ _OF_RUN = 0.1  # periods of the bandwidth that a run must have at least
 _SLOW = 0.5  # of the bandwidth: motions below it are slow
 _LATE_BY_FRICTION = 0.01  # periods: half of the delay with which laws without viscous damping settle (docs/gains.md)
 _LEFT = 0.02  # share of the image error that may be slow, or stay
+_OF_BAND = 0.4  # of metrics.band, least of a slow part of the image error that keeps a run out of it for long
 _TURNED = 0.9  # share of rotations in the common motion of the features
 _COUPLED = 0.85, 1.2  # least and most of the time to settle, over that without products of the inertia
 _DEVIATIONS = 3.0  # of the features about rest that metrics.band should hold
@@ -337,7 +338,8 @@ def _of_image(scene: Scene, key: str) -> Iterator[str]:
         return
     if not traits.prior:  # its stiffness is J^T K_p J
         share = slow_share(scene, machine)
-        if share > _LEFT:
+        start = float(np.abs(scene.desired - scene.view(scene.start).features)[machine.weights > 0.0].max())
+        if share > _LEFT and share * start > _OF_BAND * scene.band:
             yield (
                 f"{key} is that of the features' common motion; {number(100 * share, 2)} % of the image error at the "
                 "start is more than twice as slow with this law"
