@@ -10,8 +10,8 @@ import pytest
 
 import hexservo as hs
 from hexservo.findings.analysis import camera_rate, drift
-from hexservo.findings.check import unlikely
 from hexservo.scenario.parameters import image_age, oldest_image, timeout_room
+from without_runs import unlikely_without_runs
 
 
 def with_camera(name: str, **camera: Any) -> hs.Scenario:
@@ -85,11 +85,11 @@ def test_the_age_has_no_wait_where_no_frame_or_every_frame_is_lost() -> None:
 def test_check_names_lost_frames_that_take_damping_away() -> None:
     """With 95 % lost most runs leave the stroke; as old an image without losses is warned of as well."""
     late = with_camera("pi-h824", prediction="none", dropout=0.95)
-    (sentence,) = (each for each in unlikely(late) if "half of the damping" in each)
+    (sentence,) = (each for each in unlikely_without_runs(late) if "half of the damping" in each)
     assert "an image that takes effect 328 ms late" in sentence
     ends = [hs.metrics(hs.simulate(late.updated({"seed": seed})))["peak_leg_excursion"] for seed in range(6)]
     assert np.median(ends) > late.robot.stroke
-    assert not any("damping" in each for each in unlikely(late.updated({"camera.dropout": 0.0})))
+    assert not any("damping" in each for each in unlikely_without_runs(late.updated({"camera.dropout": 0.0})))
 
 
 def test_a_drift_with_prediction_has_the_age_of_lost_frames() -> None:
