@@ -61,7 +61,8 @@ FORBIDDEN = {
     r"gone afterwards": "reset",
 }
 
-SPACED = {pattern: pattern.replace(" ", r"(?:\s|#)+") for pattern in FORBIDDEN}  # a phrase may go over the end of a line
+# A phrase may go over the end of a line.
+SPACED = {pattern: pattern.replace(" ", r"(?:\s|#)+") for pattern in FORBIDDEN}
 ANY = re.compile(rf"\b(?:{'|'.join(SPACED.values())})\b")  # of text in lower case: 14 times as fast as one by one
 
 # Verbs that say less than Return, Compute, Check, Search, Classify.
