@@ -47,7 +47,8 @@ def test_the_mean_age_of_an_image_is_that_of_runs(changes: dict[str, Any]) -> No
 def test_the_mean_age_is_the_sum_over_the_frames_that_may_be_lost(dropout: float, timeout: float | None) -> None:
     scenario = with_camera("slow-camera", dropout=dropout, timeout=timeout)
     step, period, latency = 0.001, 66, 66
-    ages = np.arange(latency, 4_000_000)  # [ticks], of the newest image
+    frames = np.ceil(30.0 / -np.log(dropout))  # exp(-30) of the images are older
+    ages = np.arange(latency, latency + period * frames)  # [ticks], of the newest image
     share = dropout ** ((ages - latency) // period)
     used = ages * step <= (np.inf if timeout is None else timeout + 1e-9)
     mean = step * np.average(ages[used], weights=share[used])
