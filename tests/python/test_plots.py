@@ -134,8 +134,8 @@ def assert_shows(figure: Figure, names: list[str], time: Array, values: Array) -
 
 def render(figure: Figure) -> None:
     """Place everything as on a page of pixels; no test looks at the pixels, which take as long again."""
-    FigureCanvasAgg(figure)  # type: ignore[no-untyped-call]
-    figure.draw_without_rendering()  # type: ignore[no-untyped-call]
+    FigureCanvasAgg(figure)
+    figure.draw_without_rendering()
 
 
 def labels(figure: Figure) -> set[str]:
