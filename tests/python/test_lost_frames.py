@@ -94,7 +94,7 @@ def test_check_names_lost_frames_that_take_damping_away() -> None:
 
 
 def test_a_drift_with_prediction_has_the_age_of_lost_frames() -> None:
-    for dropout, age in ((0.0, "98.5 ms"), (0.5, "164 ms"), (0.9, "693 ms"), (0.99, "6.63 s")):
+    for dropout, age in ((0.0, "98.5 ms"), (0.9, "693 ms")):
         (section,) = hs.analyse(with_camera("slow-camera", dropout=dropout), ["drift"]).sections()
         assert any(f"carried on over {age}, its mean age" in each for each in section.sentences)
 
