@@ -73,6 +73,14 @@ def names_are_parsed_once() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="module", autouse=True)
+def units_are_packed_fast() -> Iterator[None]:
+    """The library is compressed for every unit, which takes as long as the rest of a test: without, here."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("zlib.Z_DEFAULT_COMPRESSION", 0)
+        yield
+
+
 class Unit:
     """An instance of a unit, by names of its variables."""
 
@@ -649,7 +657,7 @@ def test_outputs_before_the_end_of_the_initialisation_follow_the_parameters(make
 
 
 def test_a_step_costs_little_more_than_the_step_of_a_run(make: Any, tmp_path: Path) -> None:
-    """A program in C with the headers of the standard; a ratio, since the machine may be busy."""
+    """A program in C with the headers of the standard; a ratio of processor times, since the machine may be busy."""
     compiler = shutil.which("cc") or shutil.which("gcc")
     if compiler is None:
         pytest.skip("no C compiler is installed")

@@ -104,6 +104,23 @@ def test_slopes_of_pixels_are_those_of_neighbouring_points(plain_camera: hs.Scen
     assert abs(slopes[0, 1] - slopes[1, 0]) > 0.01
 
 
+def test_a_camera_is_made_once_for_a_scenario(plain_camera: hs.Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And again for another one: searches over places ask for the pixels of one scenario hundreds of times."""
+    made: list[hs.Scenario] = []
+
+    def counted(scenario: hs.Scenario) -> Any:
+        made.append(scenario)
+        return core_parameters(scenario)
+
+    monkeypatch.setattr("hexservo.scenario.pixels.core_parameters", counted)
+    one = in_pixels(plain_camera, "pinhole").updated({"camera.principal_point": [612.0, 377.0]})
+    other = one.updated({"camera.principal_point": [613.0, 377.0]})
+    made.clear()
+    at = [to_pixels(scenario, np.zeros(2)).tolist() for scenario in (one, one, other, one)]
+    assert at == [[612.0, 377.0], [612.0, 377.0], [613.0, 377.0], [612.0, 377.0]]
+    assert len(made) <= 2
+
+
 def test_an_image_begins_half_a_pixel_before_the_centre_of_its_first_one(plain_camera: hs.Scenario) -> None:
     """As OpenCV counts: of 1280 columns from -0.5 to 1279.5."""
     scenario = in_pixels(plain_camera, "pinhole")

@@ -11,10 +11,10 @@ import pytest
 import hexservo as hs
 from hexservo.findings.analysis.loop_of_scenario import quiet
 from hexservo.findings.analysis.scene import ALL_AXES, scene_of
-from hexservo.findings.check import unlikely
 from hexservo.findings.check_adaptation import of_adaptation
 from hexservo.findings.diagnosis.adaptation import ADAPTATION
 from hexservo.findings.diagnosis.model import Case
+from without_runs import unlikely_without_runs
 
 DRIVE, PSI = "controller.composite.drive", "controller.composite.fuzzy.adaptation"
 FITTED = ("kp", "kt", "kd", "kv", "drive", "prior", "fuzzy.adaptation", "fuzzy.error_scale", "fuzzy.rate_scale")
@@ -83,7 +83,7 @@ def test_small_runs_decay_below_the_largest_drive_and_grow_above_it(name: str, d
 @pytest.mark.parametrize(("name", "times"), [("pi-h824", 1000.0), ("composite-30hz", 1000.0)])
 def test_an_adaptation_faster_than_the_servo_is_named_with_the_factor_that_runs_bear(name: str, times: float) -> None:
     scenario = faster(name, times)
-    (sentence,) = (words for words in unlikely(scenario) if words.startswith(PSI))
+    (sentence,) = (words for words in unlikely_without_runs(scenario) if words.startswith(PSI))
     found = re.search(r"stable from ([\d.]+) times these values on", sentence)
     assert found is not None
     slower = faster(name, times / (1.2 * float(found[1])))

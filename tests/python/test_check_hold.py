@@ -13,6 +13,7 @@ from hexservo.findings.analysis.goal import find_goals
 from hexservo.findings.analysis.scene import scene_of
 from hexservo.findings.check import unlikely
 from hexservo.findings.tracking_runs import RUNS, seeds_of_runs
+from hexservo.run.batch import simulate_batch
 
 HYBRID = {"controller.law": "hybrid"}
 EXACT = {**HYBRID, "uncertainty.gravity": 0.0, "uncertainty.depth": 0.0}
@@ -180,3 +181,22 @@ def test_goals_that_packaged_scenarios_keep() -> None:
         assert said(hs.load_scenario(name)) == [], name
     (line,) = said(hs.load_scenario("saturation"))
     assert "before a target at rest end early (diverged)" in line
+
+
+def test_runs_beside_the_goal_and_at_it_are_one_pack(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In sampled mode, with the seeds of each four runs alike; in continuous mode nothing differs at the goal."""
+    packs: list[Any] = []
+
+    def noted(scenario: hs.Scenario, variations: Any, **options: Any) -> Any:
+        packs.append(variations)
+        return simulate_batch(scenario, variations, **options)
+
+    monkeypatch.setattr("hexservo.findings.check_hold.simulate_batch", noted)
+    assert said(hs.load_scenario("real-machine")) == said(hs.load_scenario("paper")) == []
+    of_sampled, of_continuous = packs
+    assert len(of_continuous["simulation.start.pose"]) == RUNS
+    beside, at = np.split(of_sampled["simulation.start.pose"], 2)
+    assert (at == at[0]).all()
+    assert (beside != at).any(axis=1).all()
+    first, second = np.split(of_sampled["seed"], 2)
+    assert first.tolist() == second.tolist() == sorted(set(first.tolist()))

@@ -15,15 +15,16 @@ import hexservo as hs
 from hexservo.cli import commands as cli
 from hexservo.findings.analysis.poses import Poses
 from hexservo.findings.analysis.scene import Scene
-from hexservo.findings.check import notes, unlikely
+from hexservo.findings.check import notes
 from hexservo.run.goal_distance import goal_distance
+from without_runs import unlikely_without_runs
 
 POSITIONS, FORCES = "pi-h824-positions", "pi-h824"
 UNITS = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
 
 
 def about(scenario: hs.Scenario, head: str) -> list[str]:
-    return [line for line in unlikely(scenario) if line.startswith(head)]
+    return [line for line in unlikely_without_runs(scenario) if line.startswith(head)]
 
 
 def sizes(text: str, unit: str = "m") -> list[float]:

@@ -11,8 +11,9 @@ import pytest
 
 import hexservo as hs
 from hexservo.findings.analysis.scene import scene_of
-from hexservo.findings.check import fastest_rate, unlikely
+from hexservo.findings.check import fastest_rate
 from hexservo.findings.home_loop import image_errors
+from without_runs import unlikely_without_runs
 
 ALONE: dict[str, Any] = {f"uncertainty.{name}": 0.0 for name in ("inertia", "coriolis", "gravity", "depth")}
 
@@ -23,11 +24,15 @@ def with_gains(scenario: hs.Scenario, law: str, gains: dict[str, Any]) -> hs.Sce
 
 
 def slow(scenario: hs.Scenario) -> list[str]:
-    return [words for words in unlikely(scenario) if "too slow for the run" in words or "nothing pulls" in words]
+    return [
+        words
+        for words in unlikely_without_runs(scenario)
+        if "too slow for the run" in words or "nothing pulls" in words
+    ]
 
 
 def too_long(scenario: hs.Scenario) -> list[str]:
-    return [words for words in unlikely(scenario) if words.startswith("simulation.step: a step of")]
+    return [words for words in unlikely_without_runs(scenario) if words.startswith("simulation.step: a step of")]
 
 
 # ---- Too slow -------------------------------------------------------------------------------------------------------
@@ -173,7 +178,7 @@ def adapting(share: float, changes: dict[str, Any] | None = None) -> hs.Scenario
 
 
 def adaptation(scenario: hs.Scenario) -> list[str]:
-    return [words for words in unlikely(scenario) if "adapt too slowly" in words]
+    return [words for words in unlikely_without_runs(scenario) if "adapt too slowly" in words]
 
 
 @pytest.mark.parametrize("share", [0.1, 0.05])
@@ -214,7 +219,7 @@ def test_a_slow_part_of_the_image_error_matters_beside_the_band() -> None:
     scenario = hs.load_scenario("pi-h824", {**kelly, "simulation.duration": 20.0})
     for band, slow in ((2.0, True), (12.0, False)):
         wide = scenario.updated({"metrics.band": band})
-        found = [words for words in unlikely(wide) if "of the features' common motion" in words]
+        found = [words for words in unlikely_without_runs(wide) if "of the features' common motion" in words]
         periods = bandwidth * hs.metrics(hs.simulate(wide))["settling_time"]
         assert (len(found) == 1) == slow
         assert periods > 10.0 if slow else periods < 1.0

@@ -25,6 +25,7 @@ from hexservo.cli import commands as cli
 from hexservo.cli import machine
 from hexservo.cli.dialogue import Dialogue
 from hexservo.findings.check import unlikely
+from hexservo.findings.scenario_check import Check
 from hexservo.scenario.parameters import core_parameters
 from hexservo.scenario.yaml import load_yaml, read_yaml
 from test_docs import ROOT
@@ -35,6 +36,12 @@ QUESTIONS = 30  # with joints on circles, a camera matrix in numbers, a tag, and
 def answered(file: Path, answers: list[str], *options: str) -> Result:
     text = "".join(f"{answer}\n" for answer in answers)
     return CliRunner().invoke(cli.app, ["new", "--machine", str(file), *options], input=text, prog_name="hexservo")
+
+
+@pytest.fixture
+def unchecked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Write the file without warnings and notes, for tests of what is in it: `hs.check` takes most of the time."""
+    monkeypatch.setattr(hs, "check", lambda scenario: Check(scenario, (), (), None))
 
 
 def answers(**changed: str) -> list[str]:
@@ -107,6 +114,7 @@ def test_the_travel_along_each_axis_ends_where_the_legs_do(tmp_path: Path) -> No
 RATES, BANDWIDTHS = ("10", "24", "29.97", "30", "59.94", "100", "144", "333"), ("0.3", "1.7", "2", "2.7", "5.3")
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize(
     ("rate", "bandwidth"),
     [  # every rate and every bandwidth, in turn; the other pairs are slow
@@ -167,6 +175,7 @@ def test_a_latency_in_seconds_is_noted(tmp_path: Path) -> None:
         assert ("If these are seconds, the answer is 50." in " ".join(done.output.split())) is noted
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize(
     ("travel", "given", "resolution"),
     [("-0.02 0.02", "", 4e-9), ("-15 15", "", 1e-6), ("-15 15", "0.02", 2e-5), ("-15 15", "0", 0.0)],
@@ -234,6 +243,7 @@ def test_times_of_a_machine_that_takes_positions_are_whole_commands(tmp_path: Pa
     assert (gains.bandwidth, gains.noise, scenario.camera.prediction) == (1.5, 0.6, "none")
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize(
     ("commands", "frames", "taken"),
     [
@@ -255,6 +265,7 @@ def test_frames_are_not_taken_for_more_frequent_than_they_are(
     assert hs.load_scenario(file).camera.period == pytest.approx(taken)
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize(("frames", "commands"), [("90", 90), ("30", 60), ("25", 50), ("29.97", 59.94), ("120", 120)])
 def test_the_commands_in_brackets_keep_the_frame_rate(tmp_path: Path, frames: str, commands: float) -> None:
     """The least multiple of it that is at least 50 a second; other commands make the frames slower, which is stated."""
@@ -281,6 +292,7 @@ def test_drives_that_take_speeds_are_sent_to_the_page(tmp_path: Path) -> None:
     assert "| drives that take speeds |" in section
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize(("answer", "taken"), [("0", 0.0), ("10", 0.02), ("50", 0.06), ("60.1", 0.06)])
 def test_no_time_that_makes_a_loop_worse_is_rounded_down(tmp_path: Path, answer: str, taken: float) -> None:
     """At 50 commands a second; 20 frames a second are one in 2.5 commands, and count as one in 3.
@@ -295,6 +307,7 @@ def test_no_time_that_makes_a_loop_worse_is_rounded_down(tmp_path: Path, answer:
     np.testing.assert_allclose((scenario.camera.latency, scenario.actuators.delay), taken)
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("rate", [24.0, 29.97, 30.0, 60.0, 120.0, 180.0, 333.0])
 def test_the_camera_has_the_rate_that_was_answered(tmp_path: Path, rate: float) -> None:
     file = tmp_path / "mine.yaml"
@@ -309,6 +322,7 @@ def test_the_inertia_in_brackets_is_one_of_a_body(tmp_path: Path) -> None:
     assert done.exit_code == 0, done.output
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("place", ["60 60 0", "30 30 0", "0 0 -10", "500 -300 200"])
 def test_the_inertia_in_brackets_is_a_disc_at_the_centre_of_mass(tmp_path: Path, place: str) -> None:
     file = tmp_path / "mine.yaml"

@@ -9,10 +9,10 @@ import pytest
 
 import hexservo as hs
 from hexservo.findings.analysis.scene import Scene
-from hexservo.findings.check import unlikely
 from hexservo.findings.coupling import noise_at_rest, settling
 from hexservo.findings.prior import share_of_prior
 from hexservo.scenario.plain import put
+from without_runs import unlikely_without_runs
 
 GOAL = [1e-3, -2e-3, 1e-3, -0.0175, 0.0087, 0.0524]  # [m; rad]
 ALMOST_UNSEEN = [6e-3, 0.0, 0.0, 0.0, 0.018, 0.0]  # a shift that a rotation undoes in the image, but for 0.3 px
@@ -124,19 +124,19 @@ def test_noise_is_amplified_by_products_of_the_inertia_alone() -> None:
 )
 def test_noise_that_coupled_axes_amplify_is_warned_of(factor: float, noise: float, warned: bool) -> None:
     scenario = with_prior(small_tag({"camera.noise": noise}), factor)
-    found = [text for text in unlikely(scenario) if "noise in the image" in text]
+    found = [text for text in unlikely_without_runs(scenario) if "noise in the image" in text]
     assert len(found) == warned
     for text in found:
         assert f"{noise:g} px of noise in the image move the features by" in text
         assert f"{PROPOSED} takes the coupling out, and a larger controller.composite.prior" in text
     centred = scenario.updated({"robot.centre_of_mass": [0.0, 0.0, 0.0]})
-    assert not any("noise in the image" in text for text in unlikely(centred))
+    assert not any("noise in the image" in text for text in unlikely_without_runs(centred))
 
 
 def test_noise_is_not_judged_without_frames_and_with_gains_that_are_given() -> None:
     amplified = with_prior(small_tag(), 0.0)
     given = amplified.updated({"controller.composite.kd": [1.0] * 6})
-    assert not any("noise in the image" in text for text in unlikely(given))
+    assert not any("noise in the image" in text for text in unlikely_without_runs(given))
     sampled = {"camera.noise": 0.0, "camera.period": None, "camera.latency": 0.0, "camera.prediction": "none"}
     sampled["controller.switching.kind"] = "sign"
     continuous = amplified.updated({"simulation.mode": "continuous", **sampled})
@@ -144,7 +144,7 @@ def test_noise_is_not_judged_without_frames_and_with_gains_that_are_given() -> N
 
 
 def pulled(scenario: hs.Scenario) -> list[str]:
-    return [text for text in unlikely(scenario) if "the pull towards home balance" in text]
+    return [text for text in unlikely_without_runs(scenario) if "the pull towards home balance" in text]
 
 
 def test_a_smaller_prior_is_proposed_where_it_leaves_less() -> None:
@@ -165,7 +165,7 @@ def test_a_law_without_coupling_is_proposed_where_a_smaller_prior_lets_noise_thr
     settled = [hs.metrics(hs.simulate(each))["settling_time"] for each in (with_less, proposed)]
     assert np.isnan(settled[0])
     assert settled[1] == 0.0
-    assert any("noise in the image" in text for text in unlikely(with_less))  # not in a circle
+    assert any("noise in the image" in text for text in unlikely_without_runs(with_less))  # not in a circle
     assert not pulled(proposed)
 
 

@@ -32,7 +32,6 @@ from fitted_machines import (
 )
 from hexservo.cli.commands import app
 from hexservo.findings.analysis.scene import scene_of
-from hexservo.findings.check import unlikely
 from hexservo.findings.check_forces import start_forces
 from hexservo.findings.check_gains import image_delay, of_gains, smoothing_lag
 from hexservo.findings.check_keys import keys_without_effect
@@ -41,6 +40,7 @@ from hexservo.scenario.fitted import chosen_keys, fitted_keys, gains_written, ma
 from hexservo.scenario.keys import default_of, value_at
 from hexservo.scenario.laws import LAWS
 from hexservo.scenario.parameters import actuators_lag, core_parameters
+from without_runs import unlikely_without_runs
 
 SECOND_ORDER = ("composite", "resolved_rate", "pbvs", "computed_torque")
 
@@ -469,7 +469,7 @@ def test_the_settling_time_is_that_of_the_second_order_equation() -> None:
 
 def warnings_of(scenario: hs.Scenario, start: str = "controller.") -> list[str]:
     """Return those of keys; what runs near the goal come to is in `test_check_hold.py`."""
-    found = [sentence for sentence in unlikely(scenario) if sentence.startswith(start)]
+    found = [sentence for sentence in unlikely_without_runs(scenario) if sentence.startswith(start)]
     return [sentence for sentence in found if not sentence.startswith("controller.law: runs of")]
 
 

@@ -11,13 +11,13 @@ from scipy.signal import cont2discrete
 
 import hexservo as hs
 from hexservo.findings.analysis.scene import scene_of
-from hexservo.findings.check import unlikely
 from hexservo.findings.diagnosis.causes import CAUSES
 from hexservo.findings.diagnosis.environment import alone_pairs
 from hexservo.findings.diagnosis.model import Case
 from hexservo.findings.motor_modes import motor_modes
 from hexservo.scenario.keys import value_at
 from test_tracking import TICK, head
+from without_runs import unlikely_without_runs
 
 
 @pytest.mark.parametrize(("bandwidth", "damping"), [(1e-3, 1.88), (1e-4, 1.0001), (1e-4, 10.0)])
@@ -36,7 +36,7 @@ def test_the_margin_of_legs_far_slower_than_the_servo_is_that_of_their_lags(band
 
 def test_legs_that_hardly_move_are_checked() -> None:
     slow = head(0.0, gains={"feedback": 0.1}).updated({"actuators.position": {"bandwidth": 1e-3, "damping": 2.0}})
-    assert not [words for words in unlikely(slow) if words.startswith("controller.tracking.feedback")]
+    assert not [words for words in unlikely_without_runs(slow) if words.startswith("controller.tracking.feedback")]
 
 
 def decay(scenario: hs.Scenario, *, feedback: float, integral: float, reading: int = 1) -> float:
@@ -164,7 +164,7 @@ def test_an_integral_of_more_than_half_its_margin_is_noted() -> None:
     scenario = head(0.0, gains={"feedback": 0.5})
     margin = hs.integral_margin(scenario)
     for share, noted in ((0.49, False), (0.51, True)):
-        sentences = unlikely(scenario.updated({"controller.tracking.integral": share * margin}))
+        sentences = unlikely_without_runs(scenario.updated({"controller.tracking.integral": share * margin}))
         assert any(words.startswith("controller.tracking.integral: ") for words in sentences) == noted
     with pytest.raises(ValueError, match="expected tracking for the margin of its integral, got composite"):
         hs.integral_margin(hs.load_scenario("pi-h824-positions").updated({"controller.law": "composite"}))
@@ -186,7 +186,7 @@ def test_a_band_that_is_wide_beside_the_stroke_is_noted(changes: dict[str, Any],
     scenario = hs.load_scenario("pi-h824-positions").updated({"controller.tracking.integral": 2.0, **changes})
     found = [
         sentence
-        for sentence in unlikely(scenario)
+        for sentence in unlikely_without_runs(scenario)
         if sentence.startswith("controller.tracking.band: the integral begins")
     ]
     assert len(found) == bool(words)

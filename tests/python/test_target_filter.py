@@ -14,10 +14,10 @@ from scipy.spatial.transform import Rotation
 import hexservo as hs
 from hexservo import _core
 from hexservo.findings.analysis.scene import scene_of
-from hexservo.findings.check import unlikely
 from hexservo.findings.check_tracking import steady_filter
 from hexservo.scenario.laws import Tracking
 from hexservo.scenario.parameters import core_parameters
+from without_runs import unlikely_without_runs
 
 Array = NDArray[np.float64]
 TICK = 0.02
@@ -331,7 +331,7 @@ def test_check_names_a_target_that_is_slow_but_not_steady() -> None:
     noisy = hexapod({"controller.tracking.noise": 4.0, "simulation.duration": 8.0, "metrics.rms_start": 4.0})
     sway = {"target.motion": {"kind": "sinusoid", "amplitude": [0.004, 0.0, 0.0], "frequency": 0.3}}
     slow = noisy.updated(sway)
-    (stated,) = [text for text in unlikely(slow) if text.startswith("controller.tracking.certainty")]
+    (stated,) = [text for text in unlikely_without_runs(slow) if text.startswith("controller.tracking.certainty")]
     print(stated)
     now, left = (float(re.findall(rf"{words} about ([\d.]+) px", stated)[0]) for words in ("up to", "counts:"))
     error = {}
@@ -339,12 +339,14 @@ def test_check_names_a_target_that_is_slow_but_not_steady() -> None:
         changed = slow.updated({"controller.tracking.certainty": certainty})
         run = hs.simulate(changed)
         error[certainty] = float(np.abs(run.feature_error[run.time > 4.0]).max())
-        assert bool([text for text in unlikely(changed) if "tracking.certainty" in text]) == (certainty > 0.0)
+        assert bool([text for text in unlikely_without_runs(changed) if "tracking.certainty" in text]) == (
+            certainty > 0.0
+        )
     print(f"behind by up to {error[2.5]:.2f} px, with every velocity {error[0.0]:.2f} px")
     assert [error[2.5], error[0.0]] == pytest.approx([now, left], rel=0.2)
     assert now > slow.metrics.band > left
     for fine in (moving([0.001, 0.0, 0.0]), {"metrics.band": 2.0 * error[2.5], **sway}):
-        assert not [text for text in unlikely(noisy.updated(fine)) if "tracking.certainty" in text]
+        assert not [text for text in unlikely_without_runs(noisy.updated(fine)) if "tracking.certainty" in text]
 
 
 def test_points_that_are_not_as_assumed_do_not_carry_the_platform_away() -> None:
@@ -374,7 +376,7 @@ def test_check_names_noise_of_the_joints_that_is_not_assumed() -> None:
     """Readings in steps of 1.5 mrad leave more in the image than the camera; the noise that is named keeps it quiet."""
     head = hs.load_scenario("reachy-mini-head")
     scenario = head.updated({"controller.law": "tracking", "camera.prediction": "none", "actuators.kind": "position"})
-    (stated,) = [text for text in unlikely(scenario) if text.startswith("controller.tracking.noise")]
+    (stated,) = [text for text in unlikely_without_runs(scenario) if text.startswith("controller.tracking.noise")]
     print(stated)
     named = float(stated.split("set it to ")[1])
     late = []
@@ -382,7 +384,9 @@ def test_check_names_noise_of_the_joints_that_is_not_assumed() -> None:
         quiet = scenario.updated({"controller.tracking.noise": noise})
         run = hs.simulate(quiet)
         late.append(float(np.sqrt((run.feature_error[run.time > 3.0] ** 2).mean())))
-        assert bool([text for text in unlikely(quiet) if text.startswith("controller.tracking.noise")]) == (noise < 1.0)
+        assert bool(
+            [text for text in unlikely_without_runs(quiet) if text.startswith("controller.tracking.noise")]
+        ) == (noise < 1.0)
     print(f"{late[0]:.2f} px with the camera's noise alone, {late[1]:.2f} px with {named} px")
     assert late[1] < late[0] / 2.0
 
@@ -390,7 +394,9 @@ def test_check_names_noise_of_the_joints_that_is_not_assumed() -> None:
 def joint_readings(changes: dict[str, Any], noise: float | None = None) -> tuple[list[str], float]:
     """Return what `check` states of the joints of a hexapod, and the RMS error at rest of three runs [px]."""
     read = hexapod({"controller.tracking.noise": 0.1, "sensors": {"resolution": 0.0, "noise": 0.0} | changes})
-    stated = [text for text in unlikely(read) if text.startswith(("controller.tracking.noise", "sensors."))]
+    stated = [
+        text for text in unlikely_without_runs(read) if text.startswith(("controller.tracking.noise", "sensors."))
+    ]
     runs = [
         hs.simulate(read.updated({"controller.tracking.noise": noise or 0.1, "seed": seed})) for seed in range(1, 4)
     ]

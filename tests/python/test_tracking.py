@@ -23,6 +23,7 @@ from hexservo.run import variant
 from hexservo.scenario.laws import Tracking
 from hexservo.scenario.parameters import core_parameters
 from recorded_ticks import step, ticks_of
+from without_runs import unlikely_without_runs
 
 Array = NDArray[np.float64]
 CENTRE = np.array([0.0437, 0.0, -0.15157])  # of the head's camera at home, in B [m]
@@ -373,7 +374,7 @@ def test_check_names_the_speed_below_which_a_target_counts_as_resting() -> None:
                 "simulation.duration": 4.0,
             }
         )
-        warned = [text for text in unlikely(moving) if text.startswith("controller.tracking.certainty")]
+        warned = [text for text in unlikely_without_runs(moving) if text.startswith("controller.tracking.certainty")]
         assert bool(warned) == (factor < 2.0)
         for text in warned:
             stated = float(text.split("counts from about ")[1].split(" mm/s")[0])
@@ -617,12 +618,12 @@ def test_a_feedback_of_more_than_half_its_margin_is_noted() -> None:
     margin = hs.feedback_margin(scenario)
     assert margin == hs.feedback_margin(scenario.updated({"actuators.delay": TICK}))  # one tick is taken at least
     for share, noted in ((0.49, False), (0.51, True)):
-        sentences = unlikely(scenario.updated({"controller.tracking.feedback": share * margin}))
+        sentences = unlikely_without_runs(scenario.updated({"controller.tracking.feedback": share * margin}))
         noted_ones = [words for words in sentences if words.startswith("controller.tracking.feedback: ")]
         assert bool(noted_ones) == noted
         for words in noted_ones:  # the bound that it names is one that it does not note
             named = float(words.split(" is more than ")[1].split(",")[0])
-            again = unlikely(scenario.updated({"controller.tracking.feedback": named}))
+            again = unlikely_without_runs(scenario.updated({"controller.tracking.feedback": named}))
             assert not any(words.startswith("controller.tracking.feedback: ") for words in again)
     with pytest.raises(
         ValueError, match="expected position or position_torque for the margin of a feedback, got force"
@@ -722,17 +723,19 @@ def test_check_knows_every_law_of_a_machine_that_takes_positions(law: str) -> No
         "metrics.rms_start": 1.0,
     }
     scenario = hs.load_scenario("pi-h824-positions").updated(changes)
-    assert not [sentence for sentence in unlikely(scenario) if "enough for" in sentence]  # forces are not commanded
+    assert not [
+        sentence for sentence in unlikely_without_runs(scenario) if "enough for" in sentence
+    ]  # forces are not commanded
     if law == "tracking":
         assert unlikely(scenario) == []
     slow = scenario.updated({f"controller.{law}.auto.bandwidth": 0.02})
-    assert any("0.02 Hz is below 0.05 Hz" in sentence for sentence in unlikely(slow))
+    assert any("0.02 Hz is below 0.05 Hz" in sentence for sentence in unlikely_without_runs(slow))
 
 
 def test_a_bandwidth_that_was_chosen_is_checked_as_one_that_is_fitted() -> None:
     """Above a quarter of the servo rate, 12.5 Hz, and below a tenth of a period in the run of 2 s."""
     for bandwidth, noted in ((12.0, ""), (13.0, "above 12.5 Hz"), (0.06, ""), (0.04, "below 0.05 Hz")):
-        sentences = unlikely(head(0.0, gains={"bandwidth": bandwidth}))
+        sentences = unlikely_without_runs(head(0.0, gains={"bandwidth": bandwidth}))
         found = [words for words in sentences if words.startswith(f"controller.tracking.bandwidth: {bandwidth:g} Hz")]
         assert len(found) == bool(noted)
         assert all(noted in words for words in found)
@@ -741,7 +744,7 @@ def test_a_bandwidth_that_was_chosen_is_checked_as_one_that_is_fitted() -> None:
 def test_frames_too_rare_for_an_unknown_latency_are_noted() -> None:
     for period, known, noted in ((1.0, False, False), (1.02, False, True), (1.02, True, False)):
         scenario = head(0.0).updated({"camera.period": period, "camera.latency_known": known})
-        assert any(words.startswith("camera.latency_known: ") for words in unlikely(scenario)) == noted
+        assert any(words.startswith("camera.latency_known: ") for words in unlikely_without_runs(scenario)) == noted
 
 
 def test_the_largest_start_is_found_without_a_prediction_of_its_own() -> None:

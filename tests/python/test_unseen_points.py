@@ -20,6 +20,7 @@ from hexservo.findings.check import unlikely
 from hexservo.run.summary import summary_sentences
 from hexservo.run.unseen_points import edge_on_time, unseen_points, unseen_sentence
 from hexservo.scenario.plane import side_of_plane, triangle_of_plane
+from without_runs import unlikely_without_runs
 
 SAMPLED = {"simulation.mode": "sampled", "camera.image_size": [640.0, 360.0], "controller.switching.kind": "implicit"}
 CAMERA_AT_TAG = [0.0, 0.0, -0.5]  # from the camera of home to the tag [m]
@@ -129,7 +130,7 @@ def test_check_notes_points_that_leave_the_image_on_the_straight_way(half_turn: 
     """The same ones as a run with a law that takes it; laws of the image keep their points inside it."""
 
     def notes(changes: dict[str, Any]) -> list[str]:
-        return [note for note in unlikely(half_turn.updated(changes)) if "on the straight way" in note]
+        return [note for note in unlikely_without_runs(half_turn.updated(changes)) if "on the straight way" in note]
 
     (note,) = notes({})
     assert "which pbvs takes, points 1, 2, 3, 4 leave the image of 640 x 360 px between 10% and 90% of it" in note
@@ -148,10 +149,10 @@ def test_check_notes_points_that_go_behind_the_camera_on_the_straight_way() -> N
     goal = {"target.desired_features": None, "target.desired_pose": [0.0, 0.0, 0.1, 0.0, 0.0, 0.0]}
     laid = scenario.updated({**aims, **goal, "target.points": points.tolist()})
     beyond = laid.updated({"simulation.start.pose": [0.0, 0.0, -1.0, 3.1, 0.0, 0.0]})
-    (note,) = (note for note in unlikely(beyond) if "on the straight way" in note)
+    (note,) = (note for note in unlikely_without_runs(beyond) if "on the straight way" in note)
     assert "points 1, 2, 3, 4 leave the image of 640 x 360 px or go behind the camera" in note
     near = laid.updated({"simulation.start.pose": [0.02, 0.0, 0.0, 0.0, 0.0, 0.0]})
-    assert not any("on the straight way" in note for note in unlikely(near))
+    assert not any("on the straight way" in note for note in unlikely_without_runs(near))
 
 
 # ---- A plane of points ----------------------------------------------------------------------------------------------
@@ -254,7 +255,7 @@ def test_a_plane_of_points_that_is_passed_is_noted() -> None:
     behind = front.updated({"simulation.start.pose": BEHIND})
 
     def noted(scenario: hs.Scenario) -> bool:
-        return any("different sides of the plane" in note for note in unlikely(scenario))
+        return any("different sides of the plane" in note for note in unlikely_without_runs(scenario))
 
     assert noted(behind)
     assert not noted(front)

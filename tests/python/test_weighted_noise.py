@@ -11,9 +11,9 @@ import hexservo as hs
 from hexservo.findings.analysis import conditioning
 from hexservo.findings.analysis.image_estimate import estimate_of_image, rows_of_estimate
 from hexservo.findings.analysis.scene import Scene
-from hexservo.findings.check import unlikely
 from hexservo.findings.check_tracking import off_reference, steady_filter
 from hexservo.findings.prior import legs_of_noise
+from without_runs import unlikely_without_runs
 
 SEED = 31
 WEIGHTS = [[1.0] * 4, [0.01] * 4, [100.0] * 4, [1.0, 1.0, 1.0, 0.01], [1.0, 1.0, 1.0, 100.0], [3.0, 0.0, 1.0, 2.0]]
@@ -26,7 +26,7 @@ def by_differences(scenario: hs.Scenario) -> np.ndarray:
 
 
 def about(scenario: hs.Scenario, *heads: str) -> list[str]:
-    return [line for line in unlikely(scenario) if line.startswith(heads)]
+    return [line for line in unlikely_without_runs(scenario) if line.startswith(heads)]
 
 
 # ---- one image ------------------------------------------------------------------------------------------------------

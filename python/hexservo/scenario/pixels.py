@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hexservo import _core
 from hexservo.scenario.arrays import Array, Mask
 from hexservo.scenario.keys import value_at
 from hexservo.scenario.parameters import Settings, core_parameters
@@ -44,6 +46,11 @@ def has_camera_wrong(scenario: Blocks) -> bool:
     return any(np.any(np.asarray(value_at(scenario, key)) != 0.0) for key in WRONG_CAMERA)
 
 
+@lru_cache(maxsize=16)  # searches ask for the same one hundreds of times
+def _camera(scenario: Blocks) -> _core.Camera:
+    return core_parameters(scenario).camera
+
+
 def to_features(scenario: Blocks, pixels: Any) -> Array:
     """Return the features of the pinhole [px] for pixels of the scenario's camera; NaN where the lens shows none.
 
@@ -57,7 +64,7 @@ def to_features(scenario: Blocks, pixels: Any) -> Array:
     numbers = np.asarray(pixels, dtype=float)
     if not has_pixels(scenario.camera):
         return numbers
-    found = core_parameters(scenario).camera.features(numbers.reshape(-1, 2))
+    found = _camera(scenario).features(numbers.reshape(-1, 2))
     return np.asarray(found).reshape(numbers.shape)
 
 
@@ -66,7 +73,7 @@ def to_pixels(scenario: Blocks, features: Any) -> Array:
     numbers = np.asarray(features, dtype=float)
     if not has_pixels(scenario.camera):
         return numbers
-    found = core_parameters(scenario).camera.pixels(numbers.reshape(-1, 2))
+    found = _camera(scenario).pixels(numbers.reshape(-1, 2))
     return np.asarray(found).reshape(numbers.shape)
 
 
