@@ -409,7 +409,7 @@ def test_the_fastest_rate_is_that_of_a_damper_by_hand(paper: hs.Scenario) -> Non
     exact = {"uncertainty.inertia": 0.075}
     scene = scene_of(paper.updated({**damped, **exact}))
     assert fastest_rate(scene) == pytest.approx(0.5 / (0.925 * paper.robot.mass), rel=1e-3)
-    limit = 0.1 / float(f"{fastest_rate(scene):.4g}")
+    limit = 0.2 / float(f"{fastest_rate(scene):.4g}")  # a fifth of the time constant, since kelly damps
     for factor, warned in ((0.9, False), (1.1, True)):
         steps = {"simulation.step": factor * limit, "simulation.duration": 100 * factor * limit}
         scenario = paper.updated({**damped, **exact, **steps, "simulation.mode": "sampled"})
