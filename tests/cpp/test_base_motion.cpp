@@ -146,6 +146,53 @@ TEST_CASE("noise is a function of seed and time, and never repeats where equally
   CHECK(repeated > 0.1);
 }
 
+TEST_CASE(
+    "the acceleration of the base is the second derivative of its place, and a recorded place ends where it began") {
+  Random random(7604);
+  CAPTURE(random.seed());
+  constexpr double kSamplePeriod = 0.25, kStep = 1e-3;  // [s]
+  const Eigen::Matrix<double, 3, 9> samples = random.matrix<3, 9>(2.0);
+  using enum BaseMotionKind;
+  for (const BaseMotionKind kind : {sinusoid, recorded, noise, road}) {
+    CAPTURE(static_cast<int>(kind));
+    BaseMotionParameters<double> parameters = kNoise;
+    parameters.kind = kind;
+    parameters.amplitude = {1.0, -0.5, 2.0};
+    parameters.frequency = 2.0;
+    parameters.phase = 0.4;
+    parameters.road = {.speed = 10.0, .shortest = 5.0, .position = {1.0, 0.5, -0.3}};  // waves of 2 Hz at most
+    BaseMotion<double> motion(parameters, seed_halves(3), {samples.data(), 9, kSamplePeriod});
+    motion.find_place();
+    for (int i = 1; i < 16; ++i) {  // at the samples, and between them
+      const double t = 0.5 * i * kSamplePeriod;
+      CAPTURE(t);
+      const Vector3<double> change = motion.place(t + kStep) - 2.0 * motion.place(t) + motion.place(t - kStep),
+                            a = motion.acceleration(t);
+      CHECK(distance(change / (kStep * kStep), a) <= 0.01 * (1.0 + a.norm()));
+    }
+    if (kind == recorded) {
+      CHECK(motion.place(0.0).norm() == 0.0);
+      CHECK(motion.place(8.0 * kSamplePeriod).norm() <= 1e-15);
+    }
+  }
+}
+
+TEST_CASE("the inertial force of a platform acts in its centre of mass") {
+  Random random(7605);
+  CAPTURE(random.seed());
+  RigidBody<double> body;
+  body.centre_E = {0.01, -0.02, 0.03};
+  body.off_centre = true;
+  DynamicsError<double> error;
+  error.inertia.setConstant(0.1);
+  const Plant<double> plant(body, error);
+  const Matrix3<double> R_BE = rotation_matrix<double>(random.matrix<4>(1.0));
+  const Vector3<double> a = random.matrix<3>(3.0), force = -0.9 * body.mass * a;
+  const Vector6<double> wrench = inertial_wrench<double>(plant, R_BE, a);
+  CHECK(distance(wrench.head<3>(), force) <= 1e-15);
+  CHECK(distance(wrench.tail<3>(), (R_BE * body.centre_E).cross(force)) <= 1e-15);
+}
+
 TEST_CASE("the inertial wrench gives the actual platform the acceleration -a, whatever its mass error") {
   Random random(7602);
   CAPTURE(random.seed());

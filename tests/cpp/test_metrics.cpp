@@ -194,6 +194,8 @@ TEST_CASE("the RMS error starts at rms_start, and is NaN where the run is shorte
   CHECK(metrics_of(samples, {2.0, 0.2, 0.2}, 0.1).rms_error == doctest::Approx(std::sqrt(5.0 / 16.0)));
   CHECK(metrics_of(samples, {2.0, 0.2, 0.3}, 0.1).rms_error ==
         doctest::Approx(std::sqrt(1.0 / 8.0)));  // 3 * 0.1 is not 0.3
+  CHECK(metrics_of(samples, {2.0, 0.2, 0.3 * (1.0 + 3e-16)}, 0.1 * (1.0 - 3e-16)).rms_error ==
+        doctest::Approx(std::sqrt(1.0 / 8.0)));  // and may be less than it
   CHECK(std::isnan(metrics_of(samples, {2.0, 0.2, 0.31}, 0.1).rms_error));
 }
 
