@@ -290,4 +290,16 @@ TEST_CASE("a base that turns by nothing adds the wrench of one that does not tur
   const Vector6<double> twist = random.matrix<6>(2.0);
   const Vector6<double> expected = inertial_wrench<double>(plant, R_BE, a);
   CHECK(distance(moving_base_wrench<double>(plant, p, R_BE, twist, {{}, a}), expected) <= 1e-15);
+
+  // One that is tilted tilts the weight alone, with the error that the weight has.
+  BaseState<double> tilted{{}, Vector3<double>::Zero()};
+  tilted.turning.R_WB = random.rotation(0.5);
+  const auto weight = [&](const Vector3<double>& gravity) {
+    Vector6<double> wrench;
+    wrench << -body.mass * gravity, (R_BE * body.centre_E).cross(-body.mass * gravity);
+    return wrench;
+  };
+  const Vector3<double> change = tilted.turning.R_WB.transpose() * body.gravity - body.gravity;
+  CHECK(distance(moving_base_wrench<double>(plant, p, R_BE, Vector6<double>::Zero(), tilted), -1.1 * weight(change)) <=
+        1e-14);
 }

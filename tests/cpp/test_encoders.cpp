@@ -365,6 +365,13 @@ TEST_CASE("whatever the clock does, pose and twist are those of the legs, and th
     }
     CHECK(refused >= kEnds - kFails - static_cast<long long>(kStandingTicks) - 1);
   }
+  JointSensors<double> healthy = encoders({{}, 1}, hexapod), set_late = healthy;  // after the first tick, and by far
+  for (long long tick = 0; tick < 10; ++tick) {
+    const Motion truth = motion_at(hexapod, static_cast<double>(tick) * kTick);
+    healthy.observe(tick, truth.pose, truth.twist);
+    set_late.observe(tick, truth.pose, truth.twist, false, tick == 0 ? -1e17 : static_cast<double>(tick));
+    if (tick > 1) CHECK(distance(set_late.twist(), healthy.twist()) <= 1e-6);
+  }
 }
 
 TEST_CASE("a pack of encoders reads as single ones do, and a lane without a pose harms no other") {

@@ -80,3 +80,28 @@ TEST_CASE("commands end within the stroke, and a leg that is held beyond it goes
     CHECK(distance(within_stroke(hexapod, beyond, inside), inside) == 0.0);
   }
 }
+
+TEST_CASE("the wrench of a tick moves the virtual platform as it moves, and none does where a point is behind it") {
+  Settings settings = paper_settings();
+  settings.simulation.mode = LoopMode::sampled;
+  settings.actuators.kind = ActuatorKind::position;
+  const LoopParameters<double, Hybrid> p = loop_parameters<Hybrid>(settings);
+  const SafetyGains<double> gains = safety_gains<double, kPoints>(p, motion_gains(p));
+  SafetyState<double> state(gains);
+  SensorInput<double> input;
+  input.pose = home_pose(p.hexapod);
+  input.twist.setZero();
+  input.frame.exposure = 0.0;
+  input.frame.image = World<double>(p).start(p).view.image;
+  state.perception.update(gains, input);
+  see_from_command(gains, state);
+  REQUIRE(state.carried.ready());
+  const Vector6<double> weight = gravity_wrench(gains.body), wrench = weight + linear_angular<double>(0.1, 1e-3);
+  Command<double> out;
+  command_motion(gains, state, wrench, out);
+  REQUIRE(out.acts);
+  CHECK(distance(out.wrench, wrench) <= 0.02 * (wrench - weight).norm());  // its damping over a tick
+  state.motion.pose.position(2) += 2.0 * input.frame.image.depth(0);       // beyond the target
+  see_from_command(gains, state);
+  CHECK_FALSE(state.carried.ready());
+}
