@@ -271,7 +271,7 @@ TEST_CASE("control is the wrench without the weight, which turns with a body who
   CHECK(accumulator.metrics().chatter <= 1e-9);
 }
 
-TEST_CASE("the speed of a leg is the larger of its own and its mean since the last sample; rounding passes no limit") {
+TEST_CASE("a leg is as fast as it is now, or was in the mean since the last sample; rounding passes no limit") {
   LegTravel<double> travel;
   LegMotion<double> motion{};
   motion.speeds = Vector6<double>::Constant(0.01);
