@@ -267,6 +267,29 @@ TEST_CASE("a pack moves as single ones do, each lane with its own seed and numbe
   }
 }
 
+TEST_CASE("rear wheels pass what the front wheels passed, and the body follows as a mass on spring and damper") {
+  RoadParameters<double> road{.speed = 12.0, .suspension = std::numeric_limits<double>::infinity()};
+  const RoadWaves<double> rigid(road, seed_halves(5));
+  road.suspension = 1.5;
+  const RoadWaves<double> sprung(road, seed_halves(5));
+  const double w = kTwoPi * road.suspension, late = road.wheelbase / road.speed;
+  const auto height = [&](double time, double ahead) {  // of a pair of wheels; z points down
+    return ahead * rigid.rotation.at(time).value(1) - rigid.place.at(time).value(2);
+  };
+  for (double t = 0.0; t < 3.0; t += 0.137) {
+    CAPTURE(t);
+    const double front = height(t, 0.5 * road.wheelbase), rear = height(t + late, -0.5 * road.wheelbase);
+    CHECK(std::abs(front - rear) <= 1e-12);
+    for (const bool turns : {false, true}) {
+      const Curve<double, 3> foot = turns ? rigid.rotation.at(t) : rigid.place.at(t),
+                             body = turns ? sprung.rotation.at(t) : sprung.place.at(t);
+      const Vector3<double> force =
+          2.0 * road.damping * w * (foot.rate - body.rate) + w * w * (foot.value - body.value);
+      CHECK(distance(body.acceleration, force) <= 1e-9 * (1.0 + force.norm()));
+    }
+  }
+}
+
 TEST_CASE("the coherence of two tracks is x K_1(x)") {
   for (double x = 1e-6; x < 60.0; x *= 1.3) {
     CAPTURE(x);
