@@ -202,6 +202,28 @@ TEST_CASE("a leg beyond its stroke ends the run if so configured, with the leg a
   CHECK(reporting.plant.record().limit_leg() == -1.0);
 }
 
+TEST_CASE("at every tick the image is that of the target where it then is, whatever drives the platform") {
+  for (const ActuatorKind kind : {ActuatorKind::force, ActuatorKind::position, ActuatorKind::position_torque}) {
+    CAPTURE(static_cast<int>(kind));
+    Settings settings = sampled();
+    settings.actuators.kind = kind;
+    settings.simulation.substeps = 4;
+    LoopParameters<double, Hybrid> p = loop_parameters<Hybrid>(settings);
+    const Vector3<double> velocity(0.05, -0.02, 0.03);
+    p.target_motion = {.kind = TargetMotionKind::velocity, .velocity = velocity};
+    SampledLoop<double, Hybrid> loop(p);
+    for (int tick = 0; tick < 5; ++tick) {
+      const Sample<double>& sample = loop.record().sample();
+      const Eigen::Matrix<double, 3, 4> points = p.points_T.colwise() + loop.time() * velocity;
+      const Image<double> image = take_image<double, 4>(CameraView<double>(p.camera.focal), sample.position,
+                                                        rotation_matrix(sample.quaternion), points);
+      CHECK(distance(p.desired_features - sample.feature_error, image.features) <= 1e-10);
+      loop.advance();
+      REQUIRE(loop.record().running());
+    }
+  }
+}
+
 TEST_CASE("the first cause ends a run; of several at one instant the first of the list, and the leg farthest beyond") {
   Settings settings = sampled();
   settings.robot.on_limit = LimitPolicy::stop;
