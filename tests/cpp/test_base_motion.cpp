@@ -146,6 +146,53 @@ TEST_CASE("noise is a function of seed and time, and never repeats where equally
   CHECK(repeated > 0.1);
 }
 
+TEST_CASE(
+    "the acceleration of the base is the second derivative of its place, and a recorded place ends where it began") {
+  Random random(7604);
+  CAPTURE(random.seed());
+  constexpr double kSamplePeriod = 0.25, kStep = 1e-3;  // [s]
+  const Eigen::Matrix<double, 3, 9> samples = random.matrix<3, 9>(2.0);
+  using enum BaseMotionKind;
+  for (const BaseMotionKind kind : {sinusoid, recorded, noise, road}) {
+    CAPTURE(static_cast<int>(kind));
+    BaseMotionParameters<double> parameters = kNoise;
+    parameters.kind = kind;
+    parameters.amplitude = {1.0, -0.5, 2.0};
+    parameters.frequency = 2.0;
+    parameters.phase = 0.4;
+    parameters.road = {.speed = 10.0, .shortest = 5.0, .position = {1.0, 0.5, -0.3}};  // waves of 2 Hz at most
+    BaseMotion<double> motion(parameters, seed_halves(3), {samples.data(), 9, kSamplePeriod});
+    motion.find_place();
+    for (int i = 1; i < 16; ++i) {  // at the samples, and between them
+      const double t = 0.5 * i * kSamplePeriod;
+      CAPTURE(t);
+      const Vector3<double> change = motion.place(t + kStep) - 2.0 * motion.place(t) + motion.place(t - kStep),
+                            a = motion.acceleration(t);
+      CHECK(distance(change / (kStep * kStep), a) <= 0.01 * (1.0 + a.norm()));
+    }
+    if (kind == recorded) {
+      CHECK(motion.place(0.0).norm() == 0.0);
+      CHECK(motion.place(8.0 * kSamplePeriod).norm() <= 1e-15);
+    }
+  }
+}
+
+TEST_CASE("the inertial force of a platform acts in its centre of mass") {
+  Random random(7605);
+  CAPTURE(random.seed());
+  RigidBody<double> body;
+  body.centre_E = {0.01, -0.02, 0.03};
+  body.off_centre = true;
+  DynamicsError<double> error;
+  error.inertia.setConstant(0.1);
+  const Plant<double> plant(body, error);
+  const Matrix3<double> R_BE = rotation_matrix<double>(random.matrix<4>(1.0));
+  const Vector3<double> a = random.matrix<3>(3.0), force = -0.9 * body.mass * a;
+  const Vector6<double> wrench = inertial_wrench<double>(plant, R_BE, a);
+  CHECK(distance(wrench.head<3>(), force) <= 1e-15);
+  CHECK(distance(wrench.tail<3>(), (R_BE * body.centre_E).cross(force)) <= 1e-15);
+}
+
 TEST_CASE("the inertial wrench gives the actual platform the acceleration -a, whatever its mass error") {
   Random random(7602);
   CAPTURE(random.seed());
@@ -220,6 +267,29 @@ TEST_CASE("a pack moves as single ones do, each lane with its own seed and numbe
   }
 }
 
+TEST_CASE("rear wheels pass what the front wheels passed, and the body follows as a mass on spring and damper") {
+  RoadParameters<double> road{.speed = 12.0, .suspension = std::numeric_limits<double>::infinity()};
+  const RoadWaves<double> rigid(road, seed_halves(5));
+  road.suspension = 1.5;
+  const RoadWaves<double> sprung(road, seed_halves(5));
+  const double w = kTwoPi * road.suspension, late = road.wheelbase / road.speed;
+  const auto height = [&](double time, double ahead) {  // of a pair of wheels; z points down
+    return ahead * rigid.rotation.at(time).value(1) - rigid.place.at(time).value(2);
+  };
+  for (double t = 0.0; t < 3.0; t += 0.137) {
+    CAPTURE(t);
+    const double front = height(t, 0.5 * road.wheelbase), rear = height(t + late, -0.5 * road.wheelbase);
+    CHECK(std::abs(front - rear) <= 1e-12);
+    for (const bool turns : {false, true}) {
+      const Curve<double, 3> foot = turns ? rigid.rotation.at(t) : rigid.place.at(t),
+                             body = turns ? sprung.rotation.at(t) : sprung.place.at(t);
+      const Vector3<double> force =
+          2.0 * road.damping * w * (foot.rate - body.rate) + w * w * (foot.value - body.value);
+      CHECK(distance(body.acceleration, force) <= 1e-9 * (1.0 + force.norm()));
+    }
+  }
+}
+
 TEST_CASE("the coherence of two tracks is x K_1(x)") {
   for (double x = 1e-6; x < 60.0; x *= 1.3) {
     CAPTURE(x);
@@ -243,4 +313,16 @@ TEST_CASE("a base that turns by nothing adds the wrench of one that does not tur
   const Vector6<double> twist = random.matrix<6>(2.0);
   const Vector6<double> expected = inertial_wrench<double>(plant, R_BE, a);
   CHECK(distance(moving_base_wrench<double>(plant, p, R_BE, twist, {{}, a}), expected) <= 1e-15);
+
+  // One that is tilted tilts the weight alone, with the error that the weight has.
+  BaseState<double> tilted{{}, Vector3<double>::Zero()};
+  tilted.turning.R_WB = random.rotation(0.5);
+  const auto weight = [&](const Vector3<double>& gravity) {
+    Vector6<double> wrench;
+    wrench << -body.mass * gravity, (R_BE * body.centre_E).cross(-body.mass * gravity);
+    return wrench;
+  };
+  const Vector3<double> change = tilted.turning.R_WB.transpose() * body.gravity - body.gravity;
+  CHECK(distance(moving_base_wrench<double>(plant, p, R_BE, Vector6<double>::Zero(), tilted), -1.1 * weight(change)) <=
+        1e-14);
 }

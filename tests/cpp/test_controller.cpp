@@ -257,7 +257,12 @@ TEST_CASE("NaN or infinity in any entry gives the safe output, by the last valid
         ControllerInput bad = good;
         *entries(bad)[entry] = value;
         require_safe(gains, fresh, bad, joints);
-        if (entry >= 8 || !std::isnan(value)) require_safe(gains, used, bad, joints);
+        if (entry >= 8 || !std::isnan(value)) {
+          require_safe(gains, used, bad, joints);
+        } else {  // a point that lacks a coordinate was not seen: its last image is used
+          State after = used;
+          REQUIRE_FALSE(step(gains, after, bad).invalid_input());
+        }
       }
     }
     ControllerInput nothing = good;
@@ -301,9 +306,13 @@ TEST_CASE("a reading that is wrong by itself is not held, whichever of the first
   Settings settings = settings_for(SwitchingKind::tanh);
   settings.controller.safe.hold = (Vector6<double>() << 200.0, 200.0, 200.0, 2.0, 2.0, 2.0).finished();
   const Gains gains = controller_gains<Hybrid>(settings, kPeriod);
-  for (int wrong = 0; wrong < 5; ++wrong)
+  for (int trial = 0; trial < 15; ++trial)
     for (int ticks_of_one = 1; ticks_of_one <= 3; ++ticks_of_one) {  // a slower sensor repeats its poses
+      const int wrong = trial % 5;
+      const bool aside = trial / 5 != 1, turned = trial / 5 != 2;  // both, the attitude alone, the position alone
       CAPTURE(wrong);
+      CAPTURE(aside);
+      CAPTURE(turned);
       CAPTURE(ticks_of_one);
       Random random(79);
       CAPTURE(random.seed());
@@ -321,8 +330,8 @@ TEST_CASE("a reading that is wrong by itself is not held, whichever of the first
           input.pose = rest;
           input.pose.position += random.matrix<3>(1e-7);  // noise
           if (reading == wrong) {                         // off by 50 mm, and turned the other way about
-            input.pose.position(0) += 0.05;
-            input.pose.quaternion(1) *= -1.0;
+            if (aside) input.pose.position(0) += 0.05;
+            if (turned) input.pose.quaternion(1) *= -1.0;
           }
         }
         input.now = input.frame.exposure = tick + 1.0;
@@ -332,6 +341,40 @@ TEST_CASE("a reading that is wrong by itself is not held, whichever of the first
         if (reading >= 3 && reading != wrong) CHECK(distance(out.wrench, weight) <= 2.0 * 200.0 * 2e-7);
       }
     }
+}
+
+TEST_CASE("each stretch without the law is held where it begins, with the gains as given: G - K_s v - K_h away") {
+  Settings settings = settings_for(SwitchingKind::tanh);
+  settings.controller.safe.damping = (Vector6<double>() << 1.0, 2.0, 3.0, 0.04, 0.05, 0.06).finished();
+  settings.controller.safe.hold = (Vector6<double>() << 100.0, 200.0, 300.0, 4.0, 5.0, 6.0).finished();
+  const Gains gains = controller_gains<Hybrid>(settings, kPeriod);
+  Random random(81);
+  CAPTURE(random.seed());
+  State state = initial_state(gains);
+  const Vector6<double> weight = gravity_wrench(gains.body);
+  for (int stretch = 0; stretch < 3; ++stretch) {
+    CAPTURE(stretch);
+    ControllerInput input = seen_input(random, gains);
+    REQUIRE_FALSE(step(gains, state, input).invalid_input());
+    input.frame.image.depth(0) = 1.0;  // behind the camera
+    const Pose<double> begin = input.pose = unit_pose(input.pose);
+    for (int tick = 0; tick < 3; ++tick) {
+      CAPTURE(tick);
+      const Vector6<double> away = static_cast<double>(tick) * random.six(1e-3, 1e-2);
+      input.pose = moved(begin, away);
+      input.twist = random.six(0.02, 0.2);
+      const Vector6<double> expected = weight - settings.controller.safe.damping->cwiseProduct(input.twist) -
+                                       settings.controller.safe.hold->cwiseProduct(away);
+      const ControllerOutput out = step(gains, state, input);
+      REQUIRE(out.invalid_input());
+      CHECK(distance(out.wrench, expected) <= 1e-12);
+    }
+    const Pose<double> last = input.pose;
+    input.twist(0) = kNaN;  // the joints are not known any more: the weight is held as at the last pose that was
+    const ControllerOutput out = step(gains, state, input);
+    CHECK(same_bits(out.wrench, weight));
+    CHECK(relative_distance(out.leg_forces, forces_by_lu(gains.hexapod, last, weight)) <= 1000.0 * kEpsilon);
+  }
 }
 
 TEST_CASE("a clock that stands still for long stops a law that predicts") {
@@ -438,6 +481,27 @@ TEST_CASE("overflow, values beyond the limits of divergence and points behind th
   ControllerInput far = good;
   far.frame.image.depth(2) = -1e308;
   CHECK_FALSE(step(gains, state, far).invalid_input());
+}
+
+TEST_CASE("a frame from the future is refused, but for rounding") {
+  for (const Prediction prediction : {Prediction::none, Prediction::encoder}) {
+    Settings settings = settings_for(SwitchingKind::tanh);
+    settings.simulation.mode = LoopMode::sampled;
+    settings.camera.prediction = prediction;
+    const Gains gains = controller_gains<Hybrid>(settings, kPeriod);
+    Random random(82);
+    CAPTURE(random.seed());
+    State state = initial_state(gains);
+    ControllerInput input = seen_input(random, gains);
+    for (const double ahead : {0.0, 1e-7, 2e-6, 1.0}) {  // [ticks]
+      CAPTURE(ahead);
+      input.now += kPeriod;
+      input.frame.exposure = input.now + ahead * kPeriod;
+      const ControllerOutput out = step(gains, state, input);
+      CHECK(out.status == (ahead > 1e-6 ? InputStatus::unusable : InputStatus::valid));
+      CHECK(out.wrench.allFinite());
+    }
+  }
 }
 
 TEST_CASE("a singular pose and forces that overflow give the safe output") {

@@ -276,6 +276,15 @@ TEST_CASE("resolution: readings are multiples, at most half a step off, and so a
     REQUIRE(rate_error.cwiseAbs().maxCoeff() <= kResolution / kTick * (1.0 + 1e-9));
   }
   CHECK(worst > 0.4 * kResolution);
+
+  // Of noise beside it the noise comes first.
+  JointSensors<double> both = encoders({{.resolution = kResolution, .noise = kResolution}, 1}, hexapod);
+  for (long long tick = 0; tick < 100; ++tick) {
+    const Motion truth = motion_at(hexapod, static_cast<double>(tick) * kTick);
+    both.observe(tick, truth.pose, truth.twist);
+    const Vector6<double> steps = both.lengths() / kResolution;
+    for (int i = 0; i < 6; ++i) CHECK(std::abs(steps(i) - std::nearbyint(steps(i))) <= 1e-9);
+  }
 }
 
 TEST_CASE("noise has its standard deviation, in every leg, and is a function of the seed and the reading") {
@@ -364,6 +373,13 @@ TEST_CASE("whatever the clock does, pose and twist are those of the legs, and th
       }
     }
     CHECK(refused >= kEnds - kFails - static_cast<long long>(kStandingTicks) - 1);
+  }
+  JointSensors<double> healthy = encoders({{}, 1}, hexapod), set_late = healthy;  // after the first tick, and by far
+  for (long long tick = 0; tick < 10; ++tick) {
+    const Motion truth = motion_at(hexapod, static_cast<double>(tick) * kTick);
+    healthy.observe(tick, truth.pose, truth.twist);
+    set_late.observe(tick, truth.pose, truth.twist, false, tick == 0 ? -1e17 : static_cast<double>(tick));
+    if (tick > 1) CHECK(distance(set_late.twist(), healthy.twist()) <= 1e-6);
   }
 }
 

@@ -3,6 +3,7 @@
 
 #include "compare.hpp"
 
+#include <array>
 #include <set>
 #include <utility>
 #include <vector>
@@ -112,6 +113,48 @@ TEST_CASE("jitter delays each frame by a whole number of ticks, and an older fra
   CHECK(delays == std::set<long long>{3, 4, 5, 6, 7, 8});
 }
 
+TEST_CASE("of frames that have arrived the newest one counts, also of those that arrive together") {
+  FrameSettings<double> settings = timing(2, 3, 5);
+  const RandomStream<double> stream(seed_halves(1), RandomSource::latency);
+  for (const Prediction prediction : {Prediction::none, Prediction::encoder}) {  // which keeps poses for each of them
+    settings.prediction = prediction;
+    Eye eye(settings);
+    std::vector<double> newest(400, -kInfinity);
+    for (long long k = 0; k < 400; ++k) {
+      if (k % 2 == 0) {
+        const double late = std::floor(6.0 * stream.uniform<1>(static_cast<std::uint64_t>(k / 2))(0));
+        for (auto due = static_cast<std::size_t>(k + 3) + static_cast<std::size_t>(late); due < 400; ++due)
+          newest[due] = std::max(newest[due], static_cast<double>(k));
+      }
+      eye.tick(k, image_of(k));
+      REQUIRE(eye.seen().newest == newest[static_cast<std::size_t>(k)]);
+    }
+  }
+}
+
+TEST_CASE("a frame shows the points within its image, wherever its pixels are counted from") {
+  FrameSettings<double> settings = timing(1, 0);
+  settings.image_size = {100.0, 60.0};
+  settings.image_centre = {20.0, -300.0};
+  Frames<double> frames(settings, seed_halves(1));
+  for (int axis = 0; axis < 2; ++axis)
+    for (const double side : {-1.0, 1.0}) {
+      CAPTURE(axis);
+      CAPTURE(side);
+      Image<double> image;
+      image.depth.setConstant(-0.5);
+      for (int i = 0; i < 4; ++i) image.features.segment<2>(2 * i) = settings.image_centre;
+      const double edge = settings.image_centre(axis) + side * 0.5 * settings.image_size(axis);
+      image.features(axis) = edge;
+      image.features(2 + axis) = edge + side * 1e-9;
+      Frame<double> frame;
+      const long long tick = 2 * axis + (side > 0.0 ? 1 : 0);
+      frames.expose(tick, image);
+      frames.deliver(tick, frame);
+      for (int k = 0; k < 8; ++k) CHECK(std::isnan(frame.image.features(k)) == (k == 2 || k == 3));
+    }
+}
+
 TEST_CASE("an image that is too old is none, until the next one comes") {
   FrameSettings<double> settings = timing(10, 2);
   settings.timeout = 7.0;
@@ -170,14 +213,27 @@ TEST_CASE("noise, outliers and quantisation disturb the features as set, each fr
   settings.outlier_probability = 0.1;
   settings.outlier_size = 20.0;
   const Eigen::MatrixXd wild = features(n);
-  int outliers = 0;
-  for (long long k = 0; k < n; ++k)
+  int outliers = 0, pairs = 0;
+  Vector<double, 8> sums = Vector<double, 8>::Zero(), squares = sums;  // of what is added, coordinate by coordinate
+  for (long long k = 0; k < n; ++k) {
+    int in_frame = 0;
     for (int i = 0; i < 4; ++i) {
       const bool out = wild(2 * i, k) != noise(2 * i, k);
       CHECK(out == (wild(2 * i + 1, k) != noise(2 * i + 1, k)));  // a point as a whole
-      outliers += out;
+      in_frame += out;
     }
+    outliers += in_frame;
+    pairs += in_frame * (in_frame - 1) / 2;
+    const Vector<double, 8> added = wild.col(k) - noise.col(k);
+    sums += added;
+    squares += added.cwiseAbs2();
+  }
   CHECK(std::abs(outliers / (4.0 * n) - 0.1) <= 4.0 * std::sqrt(0.09 / (4.0 * n)));
+  CHECK(std::abs(pairs / (6.0 * n) - 0.01) <= 4.0 * std::sqrt(0.01 * 0.99 / (6.0 * n)));  // points for themselves
+  const double of_one = 0.1 * n;
+  CHECK(sums.cwiseAbs().maxCoeff() <= 5.0 * 20.0 * std::sqrt(of_one));
+  CHECK((squares / (400.0 * of_one) - Vector<double, 8>::Ones()).cwiseAbs().maxCoeff() <=
+        5.0 * std::sqrt((2.0 + 0.9) / of_one));  // the variance of a square, and that of how many there are
 }
 
 TEST_CASE("smoothed coordinates follow a step as a first-order filter and a ramp with its lag") {
@@ -265,31 +321,34 @@ TEST_CASE("prediction: the features of a moving platform are exact as long as th
 }
 
 TEST_CASE("a feature outside of the image is lost: it is held, predicted or ends the run, and is reported") {
-  for (const LostFeature policy : {LostFeature::hold, LostFeature::predict, LostFeature::stop}) {
-    FrameSettings<double> settings = timing(1, 0);
-    settings.image_size = {100.0, 100.0};
-    settings.on_lost = policy;
-    Eye eye(settings);
-    Image<double> image;
-    image.features << 10, 10, 49, 0, -20, 20, 0, -30;
-    image.depth.setConstant(-0.5);
-    eye.tick(0, image);
-    CHECK(eye.ready());
-    // The platform moves 10 mm along x: every feature goes by -f 0.01/0.5 px, and point 2 appears beyond the image's
-    // edge.
-    image.features(2) = 51;
-    const Pose<double> moved{Vector3<double>(0.01, 0.0, 0.0), {1.0, 0.0, 0.0, 0.0}};
-    eye.tick(1, image, moved);
-    CHECK(eye.ready() == (policy != LostFeature::stop));
-    CHECK(eye.seen().lost == (policy == LostFeature::stop));
-    CHECK(eye.image().features(0) == 10.0);
-    CHECK(eye.image().features(2) ==
-          doctest::Approx(policy == LostFeature::predict ? 49.0 - kFocal * 0.01 / 0.5 : 49.0).epsilon(1e-12));
-    image.features(2) = 40;
-    eye.tick(2, image, moved);
-    CHECK(eye.ready());
-    CHECK(eye.image().features(2) == 40.0);
-  }
+  for (const Prediction prediction : {Prediction::none, Prediction::encoder})
+    for (const LostFeature policy : {LostFeature::hold, LostFeature::predict, LostFeature::stop}) {
+      FrameSettings<double> settings = timing(1, 0);
+      settings.image_size = {100.0, 100.0};
+      settings.on_lost = policy;
+      settings.prediction = prediction;
+      Eye eye(settings);
+      Image<double> image;
+      image.features << 10, 10, 49, 0, -20, 20, 0, -30;
+      image.depth.setConstant(-0.5);
+      eye.tick(0, image);
+      CHECK(eye.ready());
+      // The platform moves 10 mm along x: every feature goes by -f 0.01/0.5 px, and point 2 appears beyond the image's
+      // edge.
+      image.features(2) = 51;
+      const Pose<double> moved{Vector3<double>(0.01, 0.0, 0.0), {1.0, 0.0, 0.0, 0.0}};
+      eye.tick(1, image, moved);
+      CHECK(eye.ready() == (policy != LostFeature::stop));
+      CHECK(eye.seen().lost == (policy == LostFeature::stop));
+      CHECK(eye.image().features(0) == doctest::Approx(10.0).epsilon(1e-12));
+      if (policy != LostFeature::stop)
+        CHECK(eye.image().features(2) ==
+              doctest::Approx(policy == LostFeature::predict ? 49.0 - kFocal * 0.01 / 0.5 : 49.0).epsilon(1e-12));
+      image.features(2) = 40;
+      eye.tick(2, image, moved);
+      CHECK(eye.ready());
+      CHECK(eye.image().features(2) == doctest::Approx(40.0).epsilon(1e-12));
+    }
 }
 
 TEST_CASE("a point beyond the gate from where the joints expect it is lost, until its last image is too old") {
@@ -333,6 +392,28 @@ TEST_CASE("a point beyond the gate from where the joints expect it is lost, unti
     REQUIRE(eye.ready());
     REQUIRE(distance(eye.image().features, exchanged.features) <= 1e-12);
   }
+}
+
+TEST_CASE("an image is confirmed by a later one alone, and within the timeout") {
+  FrameSettings<double> settings = timing(1, 0);
+  settings.prediction = Prediction::encoder;
+  settings.gate = 5.0;
+  settings.timeout = 6.0;
+  Image<double> image, none;
+  image.features << 10, 10, 40, 0, -20, 20, 0, -30;
+  image.depth.setConstant(-0.5);
+  none.features.setConstant(kNaN);
+  none.depth.setConstant(-0.5);
+  Eye eye(settings);
+  eye.tick(0, image);
+  eye.tick(0, image);  // the same again
+  REQUIRE_FALSE(eye.seen().complete);
+  for (int tick = 1; tick < 7; ++tick) eye.tick(tick, none);
+  eye.tick(7, image);
+  REQUIRE_FALSE(eye.seen().complete);
+  for (int tick = 8; tick < 13; ++tick) eye.tick(tick, none);
+  eye.tick(13, image);
+  REQUIRE(eye.ready());
 }
 
 TEST_CASE("a point that was never seen leaves the law without an image") {
@@ -432,6 +513,22 @@ TEST_CASE("poses of the past: between two ticks at fourth order in their distanc
   CAPTURE(half_line);
   CHECK(std::log2(curve / half_curve) == doctest::Approx(4.0).epsilon(0.05));
   CHECK(std::log2(line / half_line) == doctest::Approx(2.0).epsilon(0.05));
+}
+
+TEST_CASE("poses of the past: the cubic is that of the four nearest ticks, and the last pose of a tick counts") {
+  const std::array<double, 10> weights{0.0, 0.0, 0.0, -1.0 / 16.0, 9.0 / 16.0, 9.0 / 16.0, -1.0 / 16.0, 0.0, 0.0, 0.0};
+  const auto place = [](double x) { return Pose<double>{Vector3<double>(x, 0.0, 0.0), {1.0, 0.0, 0.0, 0.0}}; };
+  for (int aside = 0; aside < 10; ++aside) {
+    CAPTURE(aside);
+    PoseHistory<double> history(10);
+    for (int tick = 0; tick < 10; ++tick) {
+      history.add(tick, place(5.0), true);  // another pose of the same tick takes no room
+      history.add(tick, place(tick == aside ? 1.0 : 0.0), true);
+    }
+    CHECK(history.oldest() == 0.0);
+    CHECK(history.at(aside).position(0) == 1.0);
+    CHECK(history.at(4.5).position(0) == doctest::Approx(weights[static_cast<std::size_t>(aside)]).epsilon(1e-14));
+  }
 }
 
 TEST_CASE("poses of the past: ticks of uneven distances are joined by straight lines") {

@@ -108,6 +108,16 @@ TEST_CASE("lanes give the pixels and features of single cameras") {
 TEST_CASE("without a lens pixels are features; folded pixels and distortions of two kinds are refused") {
   CHECK_FALSE(Lens<double>(Camera{}.lens()).converts());
   CHECK_FALSE(Lens<double>().converts());
+  for (int axis = 0; axis < 2; ++axis) {  // any number of the camera that is another one counts
+    LensParameters<double> shifted, scaled;
+    shifted.centre(axis) = 3.0;
+    scaled.focal(axis) *= 1.5;
+    Vector2<double> pixel(10.0, -20.0);
+    pixel(axis) += 3.0;
+    CHECK(distance(Lens<double>(shifted).pixels<2>({10.0, -20.0}), pixel) <= 1e-13);
+    pixel(axis) = 1.5 * (pixel(axis) - 3.0);
+    CHECK(distance(Lens<double>(scaled).pixels<2>({10.0, -20.0}), pixel) <= 1e-13);
+  }
   Camera both;
   both.distortion.brown_conrady = Vector<double, 5>::Zero();
   both.distortion.kannala_brandt = Vector<double, 4>::Zero();

@@ -194,6 +194,8 @@ TEST_CASE("the RMS error starts at rms_start, and is NaN where the run is shorte
   CHECK(metrics_of(samples, {2.0, 0.2, 0.2}, 0.1).rms_error == doctest::Approx(std::sqrt(5.0 / 16.0)));
   CHECK(metrics_of(samples, {2.0, 0.2, 0.3}, 0.1).rms_error ==
         doctest::Approx(std::sqrt(1.0 / 8.0)));  // 3 * 0.1 is not 0.3
+  CHECK(metrics_of(samples, {2.0, 0.2, 0.3 * (1.0 + 3e-16)}, 0.1 * (1.0 - 3e-16)).rms_error ==
+        doctest::Approx(std::sqrt(1.0 / 8.0)));  // and may be less than it
   CHECK(std::isnan(metrics_of(samples, {2.0, 0.2, 0.31}, 0.1).rms_error));
 }
 
@@ -245,6 +247,44 @@ TEST_CASE("effort and chatter: 2 N, then 3 N along x and 0.4 N m about z, at a p
   samples.resize(1);
   CHECK(metrics_of(samples, {2.0, 0.2, 0.0}, 0.5).effort == 0.0);
   CHECK(std::isnan(metrics_of(samples, {2.0, 0.2, 0.0}, 0.5).chatter));
+}
+
+TEST_CASE("control is the wrench without the weight, which turns with a body whose centre of mass is aside") {
+  Random random(7805);
+  CAPTURE(random.seed());
+  RigidBody<double> body;
+  body.centre_E = {0.01, -0.02, 0.03};
+  body.off_centre = true;
+  Vector6<double> control;
+  control << 0.3, -0.2, 0.1, 0.004, -0.005, 0.002;
+  Sample<double> sample = random_sample(random, 1.0);
+  MetricsAccumulator<double> accumulator({}, make_hexapod({}), body, kDesired, sample);
+  for (int i = 0; i < 5; ++i) {
+    sample.quaternion = random.quaternion();
+    const Vector3<double> weight = -body.mass * body.gravity;
+    sample.wrench << weight, (rotation_matrix(sample.quaternion) * body.centre_E).cross(weight);
+    sample.wrench += control;
+    accumulator.add(1e-3 * i, sample, true);
+  }
+  CHECK(accumulator.metrics().peak_control_force == doctest::Approx(0.3).epsilon(1e-12));
+  CHECK(accumulator.metrics().peak_control_moment == doctest::Approx(0.005).epsilon(1e-12));
+  CHECK(accumulator.metrics().chatter <= 1e-9);
+}
+
+TEST_CASE("a leg is as fast as it is now, or was in the mean since the last sample; rounding passes no limit") {
+  LegTravel<double> travel;
+  LegMotion<double> motion{};
+  motion.speeds = Vector6<double>::Constant(0.01);
+  motion.lengths = Vector6<double>::Constant(0.2);
+  CHECK(travel.speeds(0.0, motion, 0.02).maxCoeff() == 0.01);
+  motion.lengths(1) -= 0.015 * 0.5;
+  motion.lengths(2) += 0.02 * 0.5 * (1.0 + 5e-10);
+  motion.lengths(3) += 0.02 * 0.5 * (1.0 + 2e-9);
+  const Vector6<double> speeds = travel.speeds(0.5, motion, 0.02);
+  CHECK(speeds(0) == 0.01);
+  CHECK(speeds(1) == doctest::Approx(0.015).epsilon(1e-12));
+  CHECK(speeds(2) == 0.02);
+  CHECK(speeds(3) > 0.02);
 }
 
 TEST_CASE("limits are noted with their first time and their peak, for each leg alone") {

@@ -88,6 +88,36 @@ TEST_CASE("limits hold, and the way to a far goal is ramp, cruise and end") {
   CHECK(distance(legs.positions(), goal) <= 1e-12);
 }
 
+TEST_CASE("a limit alone holds too, from the start on, and at the largest speed nothing accelerates") {
+  constexpr double kUnlimited = std::numeric_limits<double>::infinity();
+  const Vector6<double> start = Vector6<double>::Constant(0.2);
+  for (const auto& [fastest, most] : {std::pair(0.05, kUnlimited), std::pair(kUnlimited, 0.5)}) {
+    const PositionResponse<double> response{
+        .bandwidth = 20.0, .damping = 0.7, .speed_limit = fastest, .acceleration_limit = most};
+    PositionedLegs<double> legs(parameters(response), kStep, start, Vector6<double>::Constant(0.08));
+    const Vector6<double> ways = (Vector6<double>() << 0.02, 0.021, 0.022, 0.023, 0.024, 0.025).finished();
+    Vector6<double> before = Vector6<double>::Constant(std::min(0.08, fastest));
+    CHECK(distance(legs.rates(), before) == 0.0);
+    for (int tick = 0; tick < 400; ++tick) {
+      legs.command(start + (tick % 200 < 100 ? 1.0 : -0.5) * ways);
+      const Vector6<double> now = legs.accelerations(), mean = legs.mean_accelerations(2, 2.0 * kStep);
+      Vector6<double> rates = before;
+      for (int step = 0; step < 2; ++step) {
+        legs.advance();
+        CHECK(legs.rates().cwiseAbs().maxCoeff() <= fastest);
+        CHECK(distance(legs.rates(), rates) <= most * kStep * (1.0 + 1e-12));
+        rates = legs.rates();
+      }
+      CHECK(distance(mean, (rates - before) / (2.0 * kStep)) <= 1e-12 * (1.0 + mean.cwiseAbs().maxCoeff()));
+      for (int leg = 0; leg < 6; ++leg) {
+        CHECK(std::abs(now(leg)) <= most);
+        if (before(leg) == fastest) CHECK(now(leg) <= 0.0);
+      }
+      before = rates;
+    }
+  }
+}
+
 TEST_CASE("where limits begin and end to act the way is of second order in the step") {
   const PositionResponse<double> response{
       .bandwidth = 15.0, .damping = 0.5, .speed_limit = 0.11, .acceleration_limit = 3.3};

@@ -247,6 +247,70 @@ TEST_CASE("a leg beyond its stroke ends the run if so configured, with the leg a
   CHECK(reporting.plant.record().limit_leg() == -1.0);
 }
 
+TEST_CASE("at every tick the image is that of the target where it then is, whatever drives the platform") {
+  for (const ActuatorKind kind : {ActuatorKind::force, ActuatorKind::position, ActuatorKind::position_torque}) {
+    CAPTURE(static_cast<int>(kind));
+    Settings settings = sampled();
+    settings.actuators.kind = kind;
+    settings.simulation.substeps = 4;
+    LoopParameters<double, Hybrid> p = loop_parameters<Hybrid>(settings);
+    const Vector3<double> velocity(0.05, -0.02, 0.03);
+    p.target_motion = {.kind = TargetMotionKind::velocity, .velocity = velocity};
+    SampledLoop<double, Hybrid> loop(p);
+    for (int tick = 0; tick < 5; ++tick) {
+      const Sample<double>& sample = loop.record().sample();
+      const Eigen::Matrix<double, 3, 4> points = p.points_T.colwise() + loop.time() * velocity;
+      const Image<double> image = take_image<double, 4>(CameraView<double>(p.camera.focal), sample.position,
+                                                        rotation_matrix(sample.quaternion), points);
+      CHECK(distance(p.desired_features - sample.feature_error, image.features) <= 1e-10);
+      loop.advance();
+      REQUIRE(loop.record().running());
+    }
+  }
+}
+
+TEST_CASE("the first cause ends a run; of several at one instant the first of the list, and the leg farthest beyond") {
+  Settings settings = sampled();
+  settings.robot.on_limit = LimitPolicy::stop;
+  const LoopParameters<double, Hybrid> p = loop_parameters<Hybrid>(settings);
+  const WorldState<double> state = World<double>(p).start(p);
+  const Vector6<double> home = p.hexapod.home_lengths, zero = Vector6<double>::Zero(),
+                        unknown = Vector6<double>::Constant(kNaN);
+  Vector6<double> beyond = home;
+  beyond(1) += p.hexapod.stroke + 1e-3;
+  beyond(4) -= p.hexapod.stroke + 3e-3;
+  struct Case {
+    Vector6<double> lengths;
+    bool singular;
+    Vector6<double> forces;  // of a singular pose without meaning
+    bool unsensed;
+    StopCause cause;
+  };
+  for (const Case& c : std::initializer_list<Case>{{home, false, zero, false, StopCause::none},
+                                                   {beyond, false, unknown, true, StopCause::not_finite},
+                                                   {beyond, true, unknown, true, StopCause::leg_limit},
+                                                   {home, true, unknown, true, StopCause::singular},
+                                                   {home, false, zero, true, StopCause::solver_failed}}) {
+    CAPTURE(static_cast<int>(c.cause));
+    LoopRecord<double> record(p, state);
+    record.accept(0.001, state, home, false, zero, zero, zero, false);
+    record.judge(state, -1e-9);
+    record.accept(0.002, state, c.lengths, c.singular, zero, c.forces, zero, c.unsensed);
+    CHECK(record.cause() == static_cast<double>(c.cause));
+    CHECK(record.sample_time() == (c.cause == StopCause::none ? 0.002 : 0.001));
+    if (c.cause == StopCause::none) {
+      record.judge(state, 0.0);  // a point in the plane of the camera
+      CHECK(record.cause() == static_cast<double>(StopCause::behind_camera));
+      continue;
+    }
+    const bool limit = c.cause == StopCause::leg_limit;
+    record.accept(0.003, state, home + (beyond - home).reverse(), false, zero, zero, zero, false);
+    CHECK(record.cause() == static_cast<double>(c.cause));
+    CHECK(record.limit_leg() == (limit ? 4.0 : -1.0));
+    CHECK(record.limit_value() == doctest::Approx(limit ? p.hexapod.stroke + 3e-3 : 0.0).epsilon(1e-12));
+  }
+}
+
 TEST_CASE("ideal encoders with true rates change nothing; differences delay, and noise disturbs") {
   Settings settings = sampled();
   settings.uncertainty = paper_settings().uncertainty;

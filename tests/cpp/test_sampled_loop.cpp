@@ -380,6 +380,7 @@ TEST_CASE("lanes run as their single runs do, each with its own seed and camera"
     settings.camera.quantisation = 0.01 * lane;
     settings.camera.image_size = {150.0, 130.0};  // two points start outside
     settings.camera.on_lost = LostFeature::predict;
+    settings.camera.timeout = 20 * kMs;  // two lost frames, and a lane brakes while others go on
     single.push_back(loop_parameters<Composite>(settings));
     set_lane(pack, lane, single.back());
   }

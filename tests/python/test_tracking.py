@@ -895,13 +895,17 @@ def test_joints_that_are_not_read_at_every_tick(readings: int, feedback: float) 
     assert late < 0.1
 
 
-@pytest.mark.parametrize("readings", [1, 3, 5])
-def test_readings_of_before_do_not_hold_back_legs_that_are_within_their_speed(readings: int) -> None:
-    """The command is bound to where the legs are by now, by the speed of the readings: a steady target is followed."""
+@pytest.mark.parametrize(("readings", "delay"), [(1, 0), (3, 0), (5, 0), (1, 5)])
+def test_readings_of_before_do_not_hold_back_legs_that_are_within_their_speed(readings: int, delay: int) -> None:
+    """The command is bound to where the legs are by now, by the speed of the readings: a steady target is followed.
+
+    By now is when it acts, `delay` ticks later.
+    """
     moving = head(0.0, gains={"feedback": 0.3, "noise": 0.5, "bandwidth": 3.0}).updated(
         {
             "target.motion": {"kind": "velocity", "velocity": [0.0, 0.02, 0.0]},
             "sensors": {"pose": "encoders", "period": readings * TICK},
+            "actuators.delay": delay * TICK,
             "camera.noise": 0.0,
             "simulation.duration": 6.0,
         }
