@@ -41,7 +41,7 @@ def answered(file: Path, answers: list[str], *options: str) -> Result:
 @pytest.fixture
 def unchecked(monkeypatch: pytest.MonkeyPatch) -> None:
     """Write the file without warnings and notes, for tests of what is in it: `hs.check` takes most of the time."""
-    monkeypatch.setattr(hs, "check", lambda scenario: Check(scenario, (), (), None))
+    monkeypatch.setattr(hs, "check", lambda scenario: Check(scenario, (), (), None, None))
 
 
 def answers(**changed: str) -> list[str]:

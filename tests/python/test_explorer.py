@@ -2260,7 +2260,8 @@ def test_the_page_of_another_version_is_refused(tmp_path: Path, monkeypatch: pyt
 
     package = tmp_path / "package"
     package.mkdir()
-    (package / "scenarios").symlink_to(str(resources.files("hexservo") / "scenarios"))
+    for folder in ("campaigns", "scenarios"):  # whose names the help of the commands has
+        (package / folder).symlink_to(str(resources.files("hexservo") / folder))
     (package / "explorer.html").write_text(page("0.0.1 0"), encoding="utf-8")
     monkeypatch.setattr(resources, "files", lambda _: package)
     result = CliRunner().invoke(app, ["explore", "paper", "--out", str(tmp_path / "page.html"), "--no-open"])

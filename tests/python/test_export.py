@@ -306,7 +306,7 @@ def reader(
 
 # of the library, which is not linked here
 OTHER_FLAGS = (
-    "template <int, int, int, std::size_t, std::size_t> "
+    "template <int, int, int, std::size_t, std::size_t, bool> "
     "bool hexservo::library_was_built_with_other_flags() noexcept { return false; }"
 )
 
