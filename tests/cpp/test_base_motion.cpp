@@ -20,6 +20,14 @@ const BaseMotionParameters<double> kNoise{
 
 BaseMotion<double> noise(std::uint64_t seed) { return {kNoise, seed_halves(seed)}; }
 
+/// A body whose centre of mass is beside the platform's origin.
+RigidBody<double> off_centre_body() {
+  RigidBody<double> body;
+  body.centre_E = {0.01, -0.02, 0.03};
+  body.off_centre = true;
+  return body;
+}
+
 }  // namespace
 
 TEST_CASE("without base motion nothing accelerates") {
@@ -180,9 +188,7 @@ TEST_CASE(
 TEST_CASE("the inertial force of a platform acts in its centre of mass") {
   Random random(7605);
   CAPTURE(random.seed());
-  RigidBody<double> body;
-  body.centre_E = {0.01, -0.02, 0.03};
-  body.off_centre = true;
+  const RigidBody<double> body = off_centre_body();
   DynamicsError<double> error;
   error.inertia.setConstant(0.1);
   const Plant<double> plant(body, error);
@@ -300,9 +306,7 @@ TEST_CASE("the coherence of two tracks is x K_1(x)") {
 TEST_CASE("a base that turns by nothing adds the wrench of one that does not turn") {
   Random random(7603);
   CAPTURE(random.seed());
-  RigidBody<double> body;
-  body.centre_E = {0.01, -0.02, 0.03};
-  body.off_centre = true;
+  const RigidBody<double> body = off_centre_body();
   DynamicsError<double> error;
   error.inertia.diagonal().setConstant(0.1);
   error.coriolis.setConstant(0.2);

@@ -153,7 +153,7 @@ def check(
             simulation = chosen.simulation
             name = "standard input" if scenario == "-" else scenario
             settled = found.settled and f"; its run is {found.settled}"
-            unrun = "" if found.run is not None else "; it was not run, since it has more than 200 000 steps"
+            unrun = found.unrun and f"; {found.unrun}"
             write(
                 f'{name}: valid (scenario "{chosen.name}", {simulation.duration:.6g} s in steps of '
                 f"{simulation.step * 1e3:.6g} ms){settled}{unrun}\n"

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from hexservo.findings.tracking_runs import seeds_of_runs
 from hexservo.run.batch import BatchResult, metrics_of, simulate_batch, whole
 from hexservo.run.leg_limits import exceeded_limits
 from hexservo.run.metrics import is_settled, unsettled
@@ -24,7 +25,6 @@ NAMED = "hexservo diagnose names the cause"
 
 _MOST_STEPS = 3_000_000  # of all of them: fewer runs where one has more than 50 000
 _SURE = 0.95  # that the stated share of runs settles
-_SEEDS = 2**64
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,5 +119,5 @@ def with_other_seeds(scenario: Scenario) -> OtherSeeds | None:
     count = min(MOST_RUNS, int(_MOST_STEPS / steps))
     if count < 1 or not is_random(scenario):
         return None
-    seeds = np.asarray([(scenario.seed + 1 + k) % _SEEDS for k in range(count)], dtype=np.uint64)
-    return OtherSeeds(whole(simulate_batch(scenario, {"seed": seeds}, log="metrics")))
+    seeds = {"seed": seeds_of_runs(scenario, count + 1)[1:]}
+    return OtherSeeds(whole(simulate_batch(scenario, seeds, log="metrics")))

@@ -48,6 +48,11 @@ class Check:
         own = f"within {measured.band:g} px {since_settling(metrics(self.run), measured)}"
         return ", ".join([own, *([self.others.words] if self.others is not None and self.others.words else [])])
 
+    @property
+    def unrun(self) -> str:
+        """Why the scenario was not run; empty where it was."""
+        return "it was not run, since it has more than 200 000 steps" if self.run is None else ""
+
     def to_dict(self) -> dict[str, Any]:
         """Return warnings, notes, and outcome and metrics of the run (null where it was left out) for strict JSON.
 
@@ -65,7 +70,7 @@ class Check:
         """Return a line for each warning and note, and one for a run that settles."""
         lines = [f"Warning: {words}" for words in self.warnings] + [f"Note: {words}" for words in self.notes]
         lines += [f"The run is {self.settled}."] if self.settled else []
-        lines += ["It was not run, since it has more than 200 000 steps."] if self.run is None else []
+        lines += [f"{self.unrun.capitalize()}."] if self.unrun else []
         return lines_below(f'Check of "{self.scenario.name}"', lines or ["No warnings."], 5)
 
 

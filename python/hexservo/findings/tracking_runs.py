@@ -204,9 +204,9 @@ def _ticks(scenario: Scenario) -> Array:
     return np.arange(0.0, scenario.simulation.duration, scenario.simulation.step)
 
 
-def seeds_of_runs(scenario: Scenario) -> NDArray[np.uint64]:
+def seeds_of_runs(scenario: Scenario, count: int = RUNS) -> NDArray[np.uint64]:
     """Return seeds of runs with different noise, (n,): that of a scenario and the next ones; 0 follows 2^64 - 1."""
-    return np.asarray(np.uint64(scenario.seed) + np.arange(RUNS, dtype=np.uint64))
+    return np.asarray(np.uint64(scenario.seed) + np.arange(count, dtype=np.uint64))
 
 
 def _run(scenario: Scenario, variations: Mapping[str, NDArray[Any]]) -> BatchResult:

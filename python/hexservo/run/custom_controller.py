@@ -125,7 +125,7 @@ def run_with(scenario: Scenario, controller: OwnController) -> _core.Trajectory:
                 if hasattr(error, "add_note"):
                     error.add_note(f"raised by the controller {_at(observation)}")
                 raise
-            _require_taken(command, observation)
+            _require_taken(command, observation, scenario.actuators.takes_positions)
             if isinstance(command, LegPositions):
                 run.command_positions(_six("leg positions", command.positions, observation))
             elif isinstance(command, LegForces):
@@ -137,9 +137,8 @@ def run_with(scenario: Scenario, controller: OwnController) -> _core.Trajectory:
     return run.finish()
 
 
-def _require_taken(command: object, seen: Observation) -> None:
+def _require_taken(command: object, seen: Observation, take_positions: bool) -> None:
     """Refuse a command of another kind than the drives take: numbers of one are plausible as the other."""
-    take_positions = not np.isnan(seen.leg_positions).any()
     if isinstance(command, LegPositions) == take_positions:
         return
     raise ValueError(
